@@ -6,16 +6,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from made_up_recordings import Ball, record_ball
 from reference import ROOT
 
 import walker_jax as wj
 
 
-def run_program(page, title, **known):
-    """Run the program of a page that follows a comment; return its names, the known ones too."""
+def run_program(page, title, *, until="```", **known):
+    """Run the program of a page that follows a comment, until a text in it, or whole.
+
+    Returns its names, the known ones too.
+    """
     text = (ROOT / "docs" / page).read_text()
-    (source,) = re.findall(rf"<!-- {title} -->\n```python\n(.*?)```", text, re.S)
+    (source,) = re.findall(rf"<!-- {title} -->\n```python\n(.*?){until}", text, re.S)
     names: dict[str, Any] = {"__name__": page} | known
     with jax.numpy_dtype_promotion("standard"):
         exec(compile(source, page, "exec"), names)
@@ -27,6 +31,7 @@ def test_the_page_fits_a_slope_and_carries_its_error_on():
     assert names["gait"].error.max() < 0.02
 
 
+@pytest.mark.slow
 def test_the_page_tells_the_one_recording_unlike_the_others():
     """A ball whose heights are a tenth larger has a tenth more gravity, and the same times."""
     balls = [record_ball(noise=1e-3, seed=seed)[0] for seed in range(3)]
@@ -60,8 +65,13 @@ def rates_after(walker, x, phi, psidot):
     return np.linalg.solve(np.array([[a, -k], [-k, one.inertia]]), np.array([first, second]))
 
 
+@pytest.mark.slow
+def test_the_robot_with_unlike_legs_walks():
+    run_program("write-your-own.md", "a robot with unlike legs")
+
+
 def test_the_robot_strikes_as_momentum_demands():
-    names = run_program("write-your-own.md", "a robot with unlike legs")
+    names = run_program("write-your-own.md", "a robot with unlike legs", until="\n\nx = ")
     walker = names["robot"](1.0)
     before = names["Clocked"](*jnp.array([-0.2, -0.4, 0.5, -1.4, 0.3, 1.0]))
     with jax.numpy_dtype_promotion("standard"):

@@ -29,7 +29,9 @@ def by_formula(p):
     return jnp.stack([0 * h, -speed, (v + speed) / g])
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    "way", [pytest.param(one, marks=[pytest.mark.slow] * (one == "third")) for one in WAYS]
+)
 def test_derivatives_of_an_arrival(way):
     p = jnp.array([0.0, -1.3, 0.7])
     found, expected = (WAYS[way](f)(p) for f in (by_steps, by_formula))

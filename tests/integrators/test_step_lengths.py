@@ -18,6 +18,8 @@ from walker_jax.integrators.step_lengths import has_sharp_features, may_have_clo
 from walker_jax.walking.starts import prepare
 from walker_jax.walking.stride import follow_stride
 
+DOPRI8 = diffrax.Dopri8()
+
 
 class Flow(NamedTuple):
     y: Any
@@ -98,14 +100,11 @@ def steered(y):
     return jnp.stack([y[1], -40 * jnp.tanh(5 * y[0]) - 8 * y[1] + 3 * (y[0] - 0.1)])
 
 
-FIXED_POINTS = [
-    (nagumo, [0.8, 0.27], 2.0),
+MORE_FIXED_POINTS = [
     (lorenz, [0.0, 0.0, 0.0], 0.3),
     (damped_pendulum, [0.5, 0.0], 1.0),
     (slow_manifold, [1.0, 1.0], 0.1),
     (steered, [0.0, 0.0], 0.5),
-]
-MORE_FIXED_POINTS = [
     (battery, [0.45, 47.5, 47.6], 10.0),
     (lorenz, [8.5, 8.5, 27.0], 0.5),
     (rossler, [0.01, -0.03, 0.03], 3.0),
@@ -129,7 +128,10 @@ class OneVariable(wj.HybridSystem):
 
 @pytest.mark.parametrize(
     ("rates", "near", "span"),
-    FIXED_POINTS + [pytest.param(*one, marks=pytest.mark.slow) for one in MORE_FIXED_POINTS],
+    [
+        (nagumo, [0.8, 0.27], 2.0),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in MORE_FIXED_POINTS),
+    ],
 )
 def test_multipliers_of_fixed_points_of_flows(rates, near, span):
     """At an equilibrium the solution is constant, and its derivative is exp(T f')."""
@@ -169,6 +171,7 @@ class Attracted(wj.HybridSystem):
         return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 0.1, wj.SECTION),))}
 
 
+@pytest.mark.slow
 def test_exponents_of_fixed_points_of_flows():
     """The eigenvalues of the field's Jacobian at (1, 1) are -1 and -rate."""
     rates = np.array([0.5, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
@@ -178,7 +181,8 @@ def test_exponents_of_fixed_points_of_flows():
     np.testing.assert_allclose(found.exponents, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Tsit5()])
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [DOPRI8, diffrax.Tsit5()])
 def test_multipliers_at_rest_by_runge_kutta_methods(solver):
     x = np.array([np.sqrt(2 / 3), np.sqrt(2 / 3) / 3])
     values = np.linalg.eigvals(np.asarray(jax.jacfwd(nagumo)(x)))
@@ -188,43 +192,53 @@ def test_multipliers_at_rest_by_runge_kutta_methods(solver):
     np.testing.assert_allclose(np.sort(found), np.sort(np.exp(values)), rtol=0, atol=1e-6)
 
 
+def test_a_multiplier_at_rest_by_a_runge_kutta_method():
+    """y' = y^20 - 1 at y = 1: its derivative is exp(20 t)."""
+    system = time_map(lambda y, t: y**20 - 1, 1, 0.5)
+    end = lambda x: wj.stride(system, x, solver=DOPRI8, tolerance=1e-9).state
+    np.testing.assert_allclose(jax.jacfwd(end)(jnp.ones(1)), [[np.exp(10)]], rtol=1e-6)
+
+
 def test_derivatives_that_feel_what_the_solution_does_not():
-    """The solution rests at zero; only its derivative decays, faster from t = 5 on."""
-    rate = lambda y, t: -y * (1 + jnp.tanh((t - 5) / 0.01))
-    system = time_map(rate, 1, 10.0)
-    np.testing.assert_allclose(jacobian(system, [0.0]), [[np.exp(-10)]], rtol=1e-9)
+    """y' = (gain - y) r with r = (1 + tanh((t - 5) / w)) / 10, which is 0 until t = 5, then 1/5.
 
-
-def test_derivatives_by_a_gain_that_is_zero_before_its_switch():
-    """y' = g (1 + tanh((t - 5) / w)) / 2 with g = 0: dy/dg is 0 until t = 5, and then t - 5."""
+    With y = gain = 0 the solution rests; dy/dx and dy/dgain are exp(-1) and 1 - exp(-1).
+    """
 
     class Switched(OneVariable):
-        gain: Any = 0.0
+        gain: Any
 
         def modes(self):
-            switch = lambda t: (1 + jnp.tanh((t - 5) / 1e-2)) / 2
-            field = lambda s: Flow(self.gain * switch(s.t), 1 + 0 * s.t)
+            rate = lambda t: (1 + jnp.tanh((t - 5) / 1e-2)) / 10
+            field = lambda s: Flow((self.gain - s.y) * rate(s.t), 1 + 0 * s.t)
             return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 10, wj.SECTION),))}
 
-    end = lambda gain: wj.stride(Switched(gain), jnp.asarray([1.0])).state[0]
-    np.testing.assert_allclose(jax.jacfwd(end)(0.0), 5, rtol=1e-9)
+    end = lambda gain, x: wj.stride(Switched(gain), x[None]).state[0]
+    zero, one = jnp.zeros(()), jnp.ones(())
+    for direction, expected in (((zero, one), np.exp(-1)), ((one, zero), 1 - np.exp(-1))):
+        _, change = jax.jvp(end, (zero, zero), direction)
+        np.testing.assert_allclose(change, expected, rtol=1e-9)
 
 
 def test_derivatives_by_parameters_and_of_second_order_at_rest():
-    """y' = -60 (y - a^2) from y = a^2: dy/da = 2 a (1 - e^-60), of second order 2 (1 - e^-60)."""
+    """y' = -60 (y - a^2 b) from y = a^2 b: derivatives are those of a^2 b, times 1 - e^-60."""
 
     class Relaxation(OneVariable):
-        a: Any = 3.0
+        numbers: Any
 
         def modes(self):
-            field = lambda s: Flow(-60 * (s.y - self.a**2), 1 + 0 * s.t)
+            a, b = self.numbers
+            field = lambda s: Flow(-60 * (s.y - a**2 * b), 1 + 0 * s.t)
             return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 1, wj.SECTION),))}
 
-    end = lambda a: wj.stride(Relaxation(a), jnp.asarray([9.0])).state[0]
-    np.testing.assert_allclose(jax.jacfwd(end)(3.0), 6 * (1 - np.exp(-60)), rtol=1e-9)
-    np.testing.assert_allclose(jax.hessian(end)(3.0), 2 * (1 - np.exp(-60)), rtol=1e-8)
+    end = lambda numbers: wj.stride(Relaxation(numbers), jnp.asarray([18.0])).state[0]
+    numbers, share = jnp.array([3.0, 2.0]), 1 - np.exp(-60)
+    np.testing.assert_allclose(jax.jacfwd(end)(numbers), [12 * share, 9 * share], rtol=1e-9)
+    expected = np.array([[4.0, 6.0], [6.0, 0.0]]) * share
+    np.testing.assert_allclose(jax.hessian(end)(numbers), expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_second_derivatives_along_several_directions_at_once():
     system = time_map(lambda y, t: rossler(y), 3, 1.0)
     x, end = jnp.asarray([1.0, -0.5, 0.2]), lambda x: wj.stride(system, x).state
@@ -282,6 +296,7 @@ class SoftBall(wj.HybridSystem):
         }
 
 
+@pytest.mark.slow
 def test_a_ball_on_soft_ground_returns_to_its_height():
     heights = jnp.asarray([[0.3], [0.4], [0.6], [1.0], [3.0]])
     end = jax.vmap(lambda x: wj.stride(SoftBall(), x))(heights)
@@ -290,14 +305,19 @@ def test_a_ball_on_soft_ground_returns_to_its_height():
     np.testing.assert_allclose(slopes, 1, rtol=1e-7)
 
 
+FRICTIONS = [
+    (lambda y: jax.nn.sigmoid(y / 0.01) - 0.5, 0.01 * np.log(0.8 / 0.2)),
+    (lambda y: 0.01 * jax.nn.softplus(y / 0.01), 0.01 * np.log(np.exp(30) - 1)),
+    (lambda y: 0.5 * jax.scipy.special.erf(y / 0.01), 0.00595116081449995),  # erfinv(0.6)
+    (lambda y: jnp.exp(-(((y - 1) / 0.01) ** 2)), 1 + 0.01 * np.sqrt(np.log(1 / 0.3))),
+]
+
+
 @pytest.mark.parametrize(
     ("friction", "rest"),
     [
         (lambda y: 0.5 * jnp.tanh(y / 0.01), 0.01 * np.arctanh(0.6)),
-        (lambda y: jax.nn.sigmoid(y / 0.01) - 0.5, 0.01 * np.log(0.8 / 0.2)),
-        (lambda y: 0.01 * jax.nn.softplus(y / 0.01), 0.01 * np.log(np.exp(30) - 1)),
-        (lambda y: 0.5 * jax.scipy.special.erf(y / 0.01), 0.00595116081449995),  # erfinv(0.6)
-        (lambda y: jnp.exp(-(((y - 1) / 0.01) ** 2)), 1 + 0.01 * np.sqrt(np.log(1 / 0.3))),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in FRICTIONS),
     ],
 )
 def test_a_slide_that_smooth_friction_stops(friction, rest):
@@ -308,6 +328,7 @@ def test_a_slide_that_smooth_friction_stops(friction, rest):
     np.testing.assert_allclose(end, rest, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_torque_that_is_switched_smoothly():
     """Checked against DOP853 with short steps."""
 
@@ -356,19 +377,18 @@ def test_the_longest_step_shows_a_short_pulse():
     np.testing.assert_allclose(end, 1e-2 * np.sqrt(np.pi), rtol=1e-10)
 
 
-def test_the_longest_step_of_a_walker():
-    class Careful(wj.SimplestWalker):
+def test_the_longest_step_of_a_walker_is_that_of_its_modes():
+    class Careful(wj.KneedWalker):
         longest_step = 0.05
 
-    x = jnp.asarray([0.2003, -0.1998])
-    here, usual = wj.stride(Careful(0.009), x), wj.stride(wj.SimplestWalker(0.009), x)
-    assert (here.state != usual.state).any()
-    np.testing.assert_allclose(here.state, usual.state, rtol=1e-11)
+    modes = {**Careful(0.009).modes()}
+    assert len(modes) > 1 and all(one.longest_step == 0.05 for one in modes.values())
 
 
 def test_which_functions_are_sharp():
     y = jnp.asarray(0.5)
     sharp = [jnp.exp, jnp.tanh, jax.nn.softplus, jax.nn.sigmoid, lambda y: y**20]
+    sharp += [jax.scipy.special.erf, lambda y: jnp.exp(-(y**2))]
     assert all(has_sharp_features(one, y) for one in sharp)
     plain = [jnp.sin, lambda y: 1 / y**2, jnp.sqrt, jnp.log, lambda y: y**4, lambda y: y**1.5]
     assert not any(has_sharp_features(one, y) for one in plain)
@@ -425,7 +445,14 @@ class Grazing(wj.HybridSystem):
         }
 
 
-def test_variables_of_very_different_size():
+@pytest.mark.parametrize(
+    ("scaled", "solver"),
+    [
+        (False, None),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((True, None), (False, DOPRI8))),
+    ],
+)
+def test_variables_of_very_different_size(scaled, solver):
     """The time between outbreaks, checked against DOP853 for the logarithms."""
 
     def rates(t, u):
@@ -439,10 +466,9 @@ def test_variables_of_very_different_size():
     x = 5.342859213670063
     away = solve_ivp(rates, [0, 1e-3], [np.log(5), np.log(x)], **options).y[:, -1]
     back = solve_ivp(rates, [1e-3, 500], away, events=event, **options)
-    for scaled, solver in ((True, None), (False, None), (False, diffrax.Dopri8())):
-        found = wj.stride(Grazing(scaled), jnp.asarray([x]), solver=solver)
-        np.testing.assert_allclose(found.time, back.t[-1], rtol=1e-10)
-        np.testing.assert_allclose(found.state[0], np.exp(back.y[1, -1]), rtol=1e-10)
+    found = wj.stride(Grazing(scaled), jnp.asarray([x]), solver=solver)
+    np.testing.assert_allclose(found.time, back.t[-1], rtol=1e-10)
+    np.testing.assert_allclose(found.state[0], np.exp(back.y[1, -1]), rtol=1e-10)
 
 
 def test_variables_whose_errors_are_relative_to_themselves():

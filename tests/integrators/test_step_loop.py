@@ -19,8 +19,15 @@ def grow(start, limit, going=True, made=0):
     return make_steps(step, last, below, jnp.asarray(going), jnp.asarray(made), MOST)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("of", [kernel, jax.jit], ids=["kernel", "XLA"])
+@pytest.mark.parametrize(
+    ("of", "dtype"),
+    [
+        pytest.param(kernel, "float32", id="kernel"),
+        pytest.param(jax.jit, "float64", id="XLA"),
+        pytest.param(kernel, "float64", id="kernel in double", marks=pytest.mark.slow),
+        pytest.param(jax.jit, "float32", id="XLA in single", marks=pytest.mark.slow),
+    ],
+)
 def test_steps_are_made_until_one_does_not_go_on(of, dtype):
     """3^k first reaches 20, 1 and 3^9 for k = 3, 1 and 9, which is more than the most."""
     limits = np.array([20.0, 1.0, 3.0**9], dtype)

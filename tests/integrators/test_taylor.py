@@ -295,7 +295,7 @@ def test_series_differentiates_and_batches():
         np.testing.assert_allclose(derivative, (k + 1) * starts**k, rtol=1e-13)
 
 
-@pytest.mark.parametrize("times", [1, 2, 3])
+@pytest.mark.parametrize("times", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_derivatives_of_a_series_by_what_a_closure_holds(times):
     """y' = a y^2 has the coefficients a^k y(0)^(k+1)."""
 
@@ -342,7 +342,9 @@ NOT_SMOOTH = {
 
 
 @pytest.mark.parametrize("name", NOT_SMOOTH)
-@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev, jax.hessian])
+@pytest.mark.parametrize(
+    "transform", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow), jax.hessian]
+)
 def test_derivatives_where_operations_are_not_smooth(name, transform):
     field, same, start = NOT_SMOOTH[name]
     series = lambda f: jax.jit(transform(lambda y: jnp.stack(solution_series(f, y, ORDER))))

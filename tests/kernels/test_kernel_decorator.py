@@ -147,20 +147,20 @@ def test_why_not_of_functions_that_cannot_be_traced():
     """Wrong arguments alone raise."""
     loop = lambda x: lax.while_loop(lambda y: y < 3, lambda y: 1.5 * y, x)
     assert why_not(loop, 1.0) is why_not(jax.grad(kernel(loop)), 1.0) is None
-    walk = lambda x: wj.stride(wj.SimplestWalker(0.009), x).state
-    x = jnp.array([0.2, -0.2])
+    fly = lambda x: wj.stride(wj.systems.BouncingBall(0.4, 0.8), x).state
+    x = jnp.array([0.7, 2.3])
     outside = ": a derivative of kernel(f) has a kernel of its own, outside any other kernel"
     for function, given, error, ends in (
         (jax.grad(loop), 1.0, "ValueError: Reverse-mode differentiation does not work", outside),
-        (jax.jacfwd(walk), x, "ValueError: ", outside),
-        (jax.jacrev(walk), x, "ValueError: ", outside),
+        (jax.jacfwd(fly), x, "ValueError: ", outside),
+        (jax.jacrev(fly), x, "ValueError: ", outside),
         (lambda x: x / len(x), 1.0, "TypeError: ", "object"),
         (lambda x: x if x > 0 else -x, 1.0, "TracerBoolConversionError: ", ""),
     ):
         said = str(why_not(function, given))
         assert said.startswith(f"a kernel cannot trace the function, {error}")
         assert said.endswith(ends) and "\n" not in said
-    np.testing.assert_allclose(jax.jacfwd(walk)(x), jax.jacrev(walk)(x), rtol=1e-9)
+    np.testing.assert_allclose(jax.jacfwd(fly)(x), jax.jacrev(fly)(x), rtol=1e-9)
     with pytest.raises(WrongUse, match="name it in static_argnames"):
         why_not(lambda x, word: x, 1.0, "word")
 
@@ -192,16 +192,26 @@ def sorting_map(x, a):
     return a * jnp.sort(x)
 
 
-def test_a_users_own_system_without_a_kernel_says_so_once(monkeypatch):
-    systems = {
-        "SortingWalker": (SortingWalker(0.009), [0.2, -0.2]),
-        "SortingEquations": (SortingEquations(0.009), [0.2, -0.2]),
-        "SortingBall": (SortingBall(), [0.1, 2.0]),
-        "sorting_map": (wj.Map(sorting_map, ("x", "y"), parameters={"a": 0.5}), [0.2, -0.2]),
-    }
+SORTING = {
+    "SortingWalker": (SortingWalker(0.009), [0.2, -0.2]),
+    "SortingEquations": (SortingEquations(0.009), [0.2, -0.2]),
+    "SortingBall": (SortingBall(), [0.1, 2.0]),
+    "sorting_map": (wj.Map(sorting_map, ("x", "y"), parameters={"a": 0.5}), [0.2, -0.2]),
+}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["SortingEquations", "SortingBall", "sorting_map"],
+        pytest.param(["SortingWalker"], marks=pytest.mark.slow),
+    ],
+)
+def test_a_users_own_system_without_a_kernel_says_so_once(names, monkeypatch):
     warn_once.cache_clear()
     lines = Path(__file__).read_text().split("\n")
-    for name, (system, x) in systems.items():
+    for name in names:
+        system, x = SORTING[name]
         begin = next(
             i for i, one in enumerate(lines) if one.startswith((f"class {name}(", f"def {name}("))
         )
@@ -273,6 +283,7 @@ def test_a_fit_and_a_root_of_each_cell():
     np.testing.assert_allclose(jax.vmap(crossing)(found, radii), 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_implicit_steps_of_each_cell():
     """A stiff equation whose solution is cos(t)."""
 

@@ -200,7 +200,10 @@ def test_both_levels_compute_the_same_bits(folder, all_are_long, name):
 
 
 @needs_x86
-@pytest.mark.parametrize("name", ["x86-64", "haswell", "skylake-avx512"])
+@pytest.mark.parametrize(
+    "name",
+    ["haswell", *(pytest.param(n, marks=pytest.mark.slow) for n in ("x86-64", "skylake-avx512"))],
+)
 def test_both_levels_fuse_the_same_products_with_sums(name):
     """On processors without fused operations, with them, and with long vectors.
 

@@ -140,7 +140,9 @@ AT_ONCE = "values", "jvp", "linearize", "vmap over one", "vmap nested"
 LONG = {"third", "reverse over reverse", "reverse over forward", "transposed of many"}
 LONG |= {"vmap thrice", "vmap of hessian", "hessian of vmap", "scan of many", "for", "filters"}
 LONG |= {"hessian of scan", "jacrev of vmap"}
-CASES = [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in TRANSFORMED]
+LIKE_OTHERS = {"vmap over the other", "vmap nested otherwise", "jacfwd of vmap", "jacrev"}
+SLOW = LONG | LIKE_OTHERS
+CASES = [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in TRANSFORMED]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -194,7 +196,7 @@ def test_directions_at_once_remain_where_more_would_be_long(own, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "n", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (7, 8, 9)), 1000]
+    "n", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 7, 8, 9)), 1000]
 )
 def test_any_number_of_cells(n):
     """Values and derivatives of no cells too."""

@@ -74,8 +74,14 @@ DERIVATIVES = {
 }
 
 
-@pytest.mark.parametrize("loop", [by_loop, by_loop_again])
-@pytest.mark.parametrize("name", DERIVATIVES)
+@pytest.mark.parametrize(
+    ("name", "loop"),
+    [
+        *((name, by_loop) for name in DERIVATIVES),
+        ("grad", by_loop_again),
+        *(pytest.param(n, by_loop_again, marks=pytest.mark.slow) for n in [*DERIVATIVES][1:]),
+    ],
+)
 def test_turns_are_transposed(name, loop):
     """More turns than a tape has rows, and none, in one vector of cells."""
     found, expected = (

@@ -452,7 +452,7 @@ def test_functions_of_one_code_are_told_apart_by_all_else():
 def test_long_arrays_stay_whole():
     """Equations of a network are as many for wide layers as for narrow ones."""
 
-    def counted(width):
+    def network(width):
         rng = np.random.default_rng(width)
         first, second = rng.normal(size=(width, 3)), rng.normal(size=(width, width)) / width
 
@@ -462,11 +462,13 @@ def test_long_arrays_stay_whole():
             hidden = jax.nn.relu(jnp.asarray(second) @ hidden)
             return -jnp.sum(hidden) * x, hidden, hidden[:2]
 
-        given = jnp.array([0.3, 0.2, 0.1]), jnp.asarray(rng.normal(size=width))
-        for way in (lambda f: f, lambda f: jax.jacfwd(f, (0, 1))):
-            both = (jax.tree.leaves(way(f)(*given)) for f in (unroll(function), function))
-            for found, expected in zip(*both, strict=True):
-                np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
-        return len(jax.make_jaxpr(unroll(function))(*given).eqns)
+        return function, (jnp.array([0.3, 0.2, 0.1]), jnp.asarray(rng.normal(size=width)))
 
-    assert counted(32) == counted(40)
+    function, given = network(32)
+    with_slopes = lambda f: jax.jit(lambda *x: (f(*x), jax.jacfwd(f, (0, 1))(*x)))(*given)
+    both = (jax.tree.leaves(with_slopes(f)) for f in (unroll(function), function))
+    for found, expected in zip(*both, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
+    wider, more = network(40)
+    narrow, wide = jax.make_jaxpr(unroll(function))(*given), jax.make_jaxpr(unroll(wider))(*more)
+    assert len(narrow.eqns) == len(wide.eqns)

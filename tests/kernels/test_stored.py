@@ -30,13 +30,24 @@ def assert_near(function, *cells, shared=(), tolerance=1e-14):
         np.testing.assert_allclose(one, other, tolerance, tolerance)
 
 
-@pytest.fixture(params=[128, 256, 512])
+@pytest.fixture(params=[128, pytest.param(256, marks=pytest.mark.slow), 512])
 def registers(request, monkeypatch):
     """Vectors of this many bits."""
     monkeypatch.setattr(compiled, "register_bits", lambda: request.param)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize(
+    ("registers", "dtype"),
+    [
+        (128, np.float32),
+        (512, np.float64),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in [(128, np.float64), (512, np.float32), (256, np.float32), (256, np.float64)]
+        ),
+    ],
+    indirect=["registers"],
+)
 def test_products(dtype, registers):
     a, b = RNG.normal(size=(2, 19, 3)).astype(dtype), RNG.normal(size=(17, 5, 3)).astype(dtype)
     w, u = W.astype(dtype), U.astype(dtype)
@@ -195,13 +206,13 @@ def test_derivatives(where):
 
     if where == "constants":
         made, plain = kernel(lambda x: network(weights, x)), lambda x: network(weights, x)
-        both = [jax.vmap(jax.jacfwd(f))(POINTS) for f in (made, plain)]
-        both += [jax.vmap(jax.hessian(f))(POINTS) for f in (made, plain)]
-        both += [jax.vmap(jax.grad(f))(POINTS) for f in (made, plain)]
-        for one, other in zip(both[::2], both[1::2], strict=True):
+        ways = jax.jacfwd, jax.grad, jax.hessian
+        every = lambda f: jax.jit(jax.vmap(lambda x: [way(f)(x) for way in ways]))(POINTS)
+        found, expected = every(made), every(plain)
+        for one, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
         ahead = (made(POINTS[0] + [1e-6, 0, 0]) - made(POINTS[0] - [1e-6, 0, 0])) / 2e-6
-        np.testing.assert_allclose(both[0][0, 0], ahead, rtol=1e-8)
+        np.testing.assert_allclose(found[0][0, 0], ahead, rtol=1e-8)
         return
     made = kernel(network)
     of_bias = lambda f: lambda b, x: f([W, b, U, weights[3]], x)

@@ -45,7 +45,13 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module", params=CASES)
+SLOW = "compass", "five_link", "urdf"  # the others have all that these have
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(one, marks=[pytest.mark.slow] * (one in SLOW)) for one in CASES],
+)
 def machine(request):
     file, locks = CASES[request.param]
     path = FILES / file

@@ -1,8 +1,12 @@
 """Robots from files on the command line."""
 
 import json
+import pickle
 import shutil
+import sys
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
@@ -46,6 +50,20 @@ def test_a_file_leads_to_a_basin(run, tmp_path):
     assert data.fate.shape == (100, 100) and int((data.attractor == 0).sum()) > 300
 
 
+def test_a_robot_travels_without_its_file_and_mujoco(tmp_path, monkeypatch):
+    file = tmp_path / "compass.xml"
+    shutil.copy(FILES / file.name, file)
+    robot = wj.robot(file)
+    packed = pickle.dumps(robot)
+    file.unlink()
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    there = pickle.loads(packed)
+    assert there.parameters == robot.parameters and there.section == robot.section
+    rates = lambda one: one.modes()["stance"].field(one.lift(jnp.asarray(GAIT)))
+    np.testing.assert_array_equal(jax.tree.leaves(rates(there)), jax.tree.leaves(rates(robot)))
+
+
+@pytest.mark.slow
 def test_workers_compute_the_basin_of_a_robot(tmp_path, monkeypatch):
     """As this process does, to the last bit; they have neither its file nor MuJoCo."""
     pytest.importorskip("distributed")

@@ -76,17 +76,35 @@ def test_a_foot_that_is_stopped_follows_its_equation():
         assert abs(rates.sum()) < 1e-7 and depths.sum().real == pytest.approx(depth, rel=1e-6)
 
 
-def test_explain_says_how_mujoco_differs(tmp_path):
+def test_a_robot_says_how_mujoco_differs():
     """With the file's own numbers; and that nothing touches where nothing can."""
-    robot = wj.robot(FILES / "compass.xml")
-    found = wj.explain(robot, as_robot((0.28809807504, -0.35705418063, -0.20285043033)))
-    assert found.complaints == [] and found.remarks == robot.remarks()
-    lines = [line for line in str(found).splitlines() if line.startswith("MuJoCo: ")]
-    assert lines == list(found.remarks) and len(lines) == 3
+    lines = wj.robot(FILES / "compass.xml").remarks()
+    assert len(lines) == 3 and all(line.startswith("MuJoCo: ") for line in lines)
     assert "solref 0.02 1, solimp 0.9 0.95 0.001 0.5 2" in lines[0]
     assert "sinks by 0.00037" in lines[0] and "beyond a friction of 1" in lines[0]
     assert "in 0.0208, which is 208 of its time steps, 0.0077 v below" in lines[1]
     assert "to first order in that time" in lines[2]
     (line,) = wj.robot(FILES / "compass.urdf").remarks()
     assert "touch no ground" in line
-    assert wj.explain(wj.SimplestWalker(0.004), (0.2, -0.2)).remarks == ()
+
+
+REMARKS = "MuJoCo: it would bounce.", "MuJoCo: it would stop."
+
+
+class MapWithRemarks(wj.Map):
+    def remarks(self):
+        return REMARKS
+
+
+def test_explain_repeats_what_a_system_says():
+    halve: Any = (lambda x: x / 2), ("x",)
+    plain, told = wj.explain(wj.Map(*halve), [0.5]), wj.explain(MapWithRemarks(*halve), [0.5])
+    assert plain.remarks == () and told.remarks == REMARKS
+    assert str(told).splitlines()[-2:] == [*REMARKS]
+
+
+@pytest.mark.slow
+def test_explain_a_robot():
+    robot = wj.robot(FILES / "compass.xml")
+    found = wj.explain(robot, as_robot((0.28809807504, -0.35705418063, -0.20285043033)))
+    assert found.complaints == [] and found.remarks == robot.remarks()

@@ -22,6 +22,7 @@ RETURNING = [
 
 
 SLOW = {"boundary", "steps_to_fall by cells", "prove_basin", "robustness"}
+SLOW |= {"robustness over values", "bifurcation_diagram"}
 """Slow to compile, or as good as another one."""
 
 
