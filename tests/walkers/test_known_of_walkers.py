@@ -148,7 +148,7 @@ PARAMETERS = [(-3.5, -0.5), (-2, 2.5), (-2, 1)]
         pytest.param(wj.SimplestWalker, False, marks=pytest.mark.slow),
         (wj.SpringWalker, False),
         pytest.param(wj.SpringWalker, True, marks=pytest.mark.slow),
-        (wj.PoweredWalker, True),
+        pytest.param(wj.PoweredWalker, True, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_known_changes_no_stride(kind, launched):

@@ -345,8 +345,7 @@ def test_stores_resume_for_the_same_network_alone(tmp_path: Path):
     settings = {"grid": GRID, "levels": 0, "check": 500, "out": place, "progress": False}
     made = wj.sweep(WALKER, over, **settings)
     assert made.sizes[WEIGHT] == 2
-    direct = wj.basin(with_parameter(WALKER, WEIGHT, 0.3), GRID, progress=False)
-    assert float(made["gait_period"][1]) == 1 and direct.sizes["theta"] == 8
+    assert float(made["gait_period"][1]) == 1
     xr.testing.assert_identical(wj.sweep(WALKER, over, **settings), made)
     with pytest.raises(StoreConflict, match=r"policy\.layers"):
         wj.sweep(NetworkWalker(0.009, policy=network(1)), over, **settings)
