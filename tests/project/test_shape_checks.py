@@ -32,11 +32,11 @@ with install_import_hook([f"walker_jax.{room}" for room in sys.argv[2:]], "beart
 LEGS, TRUNK = [0.3, -0.4], [0.3, -0.4, -0.1]
 STARTS = [
     (wj.SimplestWalker(0.01), LEGS),
-    (wj.systems.DuffingOscillator(), LEGS),
     (wj.systems.HenonMap(), LEGS),
 ]
 if sys.argv[1] == "all":
     STARTS += [
+        (wj.systems.DuffingOscillator(), LEGS),
         (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
         (wj.UpperBodyWalker(0.01), TRUNK),
         (wj.KneedWalker(0.05, check_lock=True, check_scuffing=True), TRUNK),

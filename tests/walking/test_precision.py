@@ -100,14 +100,14 @@ def test_the_least_disturbance_in_float32(slope):
 
 
 def test_many_strides_say_once_that_float64_is_off():
-    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
+    system, grid = wj.systems.HenonMap(0.2), wj.Grid.plain(x=(-2, 2, 4), y=(-2, 2, 4))
     warn_once.cache_clear()
     with jax.enable_x64(False):
         with pytest.warns(PrecisionWarning, match="jax_enable_x64") as said:
-            wj.basin(wj.SimplestWalker(SLOPE), grid)
-            wj.basin(wj.SimplestWalker(SLOPE), grid)
+            wj.basin(system, grid)
+            wj.basin(system, grid)
         assert len(said) == 1
-    wj.basin(wj.SimplestWalker(SLOPE), grid)  # in float64 nothing is said
+    wj.basin(system, grid)  # in float64 nothing is said
 
 
 def test_what_needs_float64_refuses_float32():
