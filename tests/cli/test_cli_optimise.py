@@ -35,6 +35,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
     if made_up:
         for module in ("climbs", "evaluation", "limits"):
             monkeypatch.setattr(f"walker_jax.design.{module}.differentiate_measures", proportional)
+        monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
     code, out, err = run(*FASTEST, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)

@@ -56,9 +56,10 @@ def test_records_have_derivatives_in_both_modes():
     np.testing.assert_array_equal(jax.jacfwd(follow)(0.3), [2, np.nan, np.nan])
 
 
-@pytest.mark.parametrize("jacobian", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
-def test_ground_after_a_fall_has_no_derivatives(jacobian):
+@pytest.mark.slow
+def test_ground_after_a_fall_has_no_derivatives():
     walker, heights = wj.SimplestWalker(0.009), jnp.array([0.0, 0.2, 0.0])
     start = jnp.array([0.2003109, -0.1998325])  # its gait
     last = lambda heights: wj.walk(walker, start, 3, ground=heights).states[-1].sum()
-    assert jnp.isnan(jacobian(last)(heights)).all()
+    assert jnp.isnan(jax.jacfwd(last)(heights)).all()
+    assert jnp.isnan(jax.jacrev(last)(heights)).all()
