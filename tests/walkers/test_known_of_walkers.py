@@ -279,6 +279,7 @@ def test_an_impact_that_turns_the_leg_back_has_a_margin_of_that():
     assert float(found.backward) == pytest.approx(-(0.9**2) / 2, rel=1e-12)
 
 
+@pytest.mark.slow  # by default the facts above tell that it has not the simplest walker's region
 def test_gaits_of_another_motion_are_searched_where_they_may_be():
     walker = TorqueWalker(0.01, *jnp.array([0.0, 0.0]))  # no torque: the simplest walker's gaits
     assert moves_like(walker, wj.SimplestWalker) is False
