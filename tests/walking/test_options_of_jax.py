@@ -21,7 +21,6 @@ SLOW = {
     "boundary",
     "chart",
     "continue_basins",
-    "crisis_law",
     "explain",
     "explain a ball",
     "export_motion",
