@@ -18,6 +18,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import app, startup
 from walker_jax.cli.answers import Stopwatch
+from walker_jax.cli.main import on_one_line
 from walker_jax.cli.options import message_of, option_of
 from walker_jax.kernels import private_files
 from walker_jax.walkers.family import WALKERS
@@ -326,6 +327,13 @@ def test_public_names_are_the_same_whatever_is_loaded_first():
         "assert not hasattr(walker_jax, 'no_such_name')\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_a_long_reason_keeps_its_beginning_and_its_end():
+    line = on_one_line(f"slope must be\n1, not {'x' * 100} {'and so on ' * 30}: give another")
+    assert len(line) == 187 and line.startswith(f"slope must be 1, not {'x' * 29}...{'x' * 29} and")
+    assert "..." in line[90:] and line.endswith(": give another")
+    assert on_one_line("all  is\nsaid") == "all is said"
 
 
 def test_compile_time_counts_once():

@@ -35,6 +35,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
     if made_up:
         for module in ("climbs", "evaluation", "limits"):
             monkeypatch.setattr(f"walker_jax.design.{module}.differentiate_measures", proportional)
+        monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
     code, out, err = run(*FASTEST, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
@@ -58,7 +59,8 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
 
 
 def test_an_optimisation_that_is_out_of_time_goes_on(run, monkeypatch):
-    monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)
+    monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
+    monkeypatch.setattr("walker_jax.cli.answers.draw", lambda *_: None)
     for module in ("climbs", "evaluation", "limits"):
         monkeypatch.setattr(f"walker_jax.design.{module}.differentiate_measures", proportional)
     code, out, err = run(*FASTEST, "--seconds", "1e-9", "--json")

@@ -130,8 +130,13 @@ def test_a_slice_elsewhere_is_another_request(run):
 
 
 def test_bifurcations_over_a_parameter_that_is_named(run, monkeypatch):
-    diagram = functools.partial(wj.bifurcation_diagram, scan=10)
-    monkeypatch.setattr("walker_jax.bifurcation_diagram", diagram)
+    diagram, kept = functools.partial(wj.bifurcation_diagram, scan=10), []
+
+    def once(*arguments, **more):
+        kept[:] = kept or [diagram(*arguments, **more)]
+        return kept[0].copy()
+
+    monkeypatch.setattr("walker_jax.bifurcation_diagram", once)
     command = ["bifurcation", "--system", "henon", "--over", "a", "--from", "0.3", "--to", "0.95"]
     code, out, err = run(*command, "--period-max", "2", "--json")
     assert code == 0, err

@@ -35,8 +35,14 @@ def options_of(command):
     [
         ("walk --strides 1", "a larger --strides"),
         ("walk --thetadot -0.23", "It ends in stride 1: walker-jax explain"),
-        ("walk --ground 0.1 --strides 20", "another --seed gives other ground"),
-        ("explain --theta 0.2 --thetadot -0.2", "walker-jax walk, from there"),
+        pytest.param(
+            *("walk --ground 0.1 --strides 20", "another --seed gives other ground"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *("explain --theta 0.2 --thetadot -0.2", "walker-jax walk, from there"),
+            marks=pytest.mark.slow,
+        ),
         ("explain --theta -0.1 --thetadot -0.2", "walker-jax gait gives a start that is feasible"),
         ("gait --slope 0.009", "converge to it: walker-jax basin"),
         ("gait --slope 0.009 --guess 0.1939 -0.2039", "None is stable: walker-jax bifurcation"),

@@ -98,6 +98,7 @@ def test_parts_at_the_edges_of_the_grid_stay_within_the_bounds(gain, axes):
     assert kernel.all()  # what saturates at either border stays
 
 
+@pytest.mark.slow
 def test_bounds_lie_within_each_other_and_a_policy_takes_them():
     walker, actions = wj.PoweredWalker(0.004), {"push_off": (0.0, 0.08, 9)}
     coarse = wj.Grid.sheared(theta=(0.05, 0.45, 40), sum=(-0.05, 0.01, 48))

@@ -91,6 +91,7 @@ wj.viable(wj.PoweredWalker(0.004), grid, {"push_off": (0.0, 0.08, 9)}, out=Path(
 """
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_same_result(tmp_path, small_tiles, at_once, monkeypatch):
     """Killed, so that nothing is tidied up."""
     path, begun = tmp_path / "a.zarr", []

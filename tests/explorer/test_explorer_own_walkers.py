@@ -211,6 +211,7 @@ def test_commands_and_notebooks_name_it_for_other_processes(file, walker, monkey
     assert shown.server.closed
 
 
+@pytest.mark.slow
 def test_a_picture_of_a_walker_with_a_network_is_its_basin():
     """The page asks for its slope alone; the network is that of the class."""
     offered = offer(NetworkWalker(0.009))

@@ -271,7 +271,7 @@ GREY = """[...document.querySelectorAll('.facts dd, #hover')]
   .map((one) => one.classList.contains('pending'))"""
 
 
-def test_words_of_another_picture_are_grey_and_its_axes_go(opened):
+def test_words_of_another_picture_are_grey(opened):
     page = opened("walker=simplest&slope=0.004")
     page.page.mouse.move(*page.screen(0.16, -0.004))
     page.wait("document.querySelector('#fact-area').textContent.includes('±')")
@@ -288,7 +288,13 @@ def test_words_of_another_picture_are_grey_and_its_axes_go(opened):
     page.finished()
     page.wait(f"!{GREY}.includes(true)")
     assert "falls" in page.shown("#hover") and "walks" not in page.shown("#hover")
-    # another walker: no numbers beside the axes, and a time that says when it is over
+
+
+@pytest.mark.slow
+def test_axes_of_another_picture_go(opened):
+    """No numbers stay beside them, and a time says when it is over."""
+    page = opened("walker=simplest&slope=0.004")
+    page.finished()
     colours = """(() => {
       const {canvas} = explorer.map, copy = new OffscreenCanvas(70, canvas.height).getContext("2d");
       copy.drawImage(canvas, 0, 0);
@@ -310,37 +316,43 @@ def test_words_of_another_picture_are_grey_and_its_axes_go(opened):
     assert page.value(f"{colours} > 1 && {note} === ''")
 
 
-def test_saved_pictures_have_parameters_and_legend(opened, tmp_path):
+@pytest.mark.parametrize(
+    ("tab", "words"),
+    [
+        ("basin", "basin of attraction"),
+        pytest.param("bifurcation", "gaits over the slope", marks=pytest.mark.slow),
+    ],
+)
+def test_saved_pictures_have_parameters_and_legend(opened, tmp_path, tab, words):
     """Once as pixels, once as vectors, which look alike."""
     page = opened("walker=simplest&slope=0.006")
     page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
     legend = "[...document.querySelectorAll('#legend li')].map((one) => one.textContent)"
-    for tab, words in (("basin", "basin of attraction"), ("bifurcation", "gaits over the slope")):
-        page.page.click(f"#tab-{tab}")
-        if tab == "bifurcation":
-            page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
-        pictures = []
-        for kind in ("png", "svg"):
-            with page.page.expect_download() as download:
-                page.page.click(f"#save-{kind}")
-            assert download.value.suggested_filename == f"{tab}-simplest-0.006.{kind}"
-            download.value.save_as(tmp_path / f"{tab}.{kind}")
-        svg = (tmp_path / f"{tab}.svg").read_text()
-        root = ElementTree.fromstring(svg)
-        told = [one.text for one in root.iter("{http://www.w3.org/2000/svg}text")]
-        assert told[0] == f"Simplest walker: {words}"
-        if tab == "basin":
-            assert told[1] == "slope 0.006 rad" and "0.2" in told
-            assert told[-len(page.value(legend)) :] == page.value(legend)
-            assert "8 to 160 strides to the gait" in told and "falls forward" in told
-        viewer = page.context.new_page()
-        width, height = (int(root.attrib[name]) for name in ("width", "height"))
-        viewer.set_viewport_size({"width": width, "height": height})
-        viewer.set_content(f"<style>body {{ margin: 0 }} svg {{ display: block }}</style>{svg}")
-        viewer.screenshot(path=tmp_path / "vectors.png")
-        viewer.close()
-        pixels = Image.open(tmp_path / f"{tab}.png").convert("RGB")
-        vectors = Image.open(tmp_path / "vectors.png").convert("RGB")
-        assert pixels.size == (2 * vectors.width, 2 * vectors.height)
-        pictures = [np.asarray(one.resize((200, 150), 4), float) for one in (pixels, vectors)]
-        assert np.abs(pictures[0] - pictures[1]).mean() < 2 and pictures[0].std() > 10
+    page.page.click(f"#tab-{tab}")
+    if tab == "bifurcation":
+        page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
+    pictures = []
+    for kind in ("png", "svg"):
+        with page.page.expect_download() as download:
+            page.page.click(f"#save-{kind}")
+        assert download.value.suggested_filename == f"{tab}-simplest-0.006.{kind}"
+        download.value.save_as(tmp_path / f"{tab}.{kind}")
+    svg = (tmp_path / f"{tab}.svg").read_text()
+    root = ElementTree.fromstring(svg)
+    told = [one.text for one in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert told[0] == f"Simplest walker: {words}"
+    if tab == "basin":
+        assert told[1] == "slope 0.006 rad" and "0.2" in told
+        assert told[-len(page.value(legend)) :] == page.value(legend)
+        assert "8 to 160 strides to the gait" in told and "falls forward" in told
+    viewer = page.context.new_page()
+    width, height = (int(root.attrib[name]) for name in ("width", "height"))
+    viewer.set_viewport_size({"width": width, "height": height})
+    viewer.set_content(f"<style>body {{ margin: 0 }} svg {{ display: block }}</style>{svg}")
+    viewer.screenshot(path=tmp_path / "vectors.png")
+    viewer.close()
+    pixels = Image.open(tmp_path / f"{tab}.png").convert("RGB")
+    vectors = Image.open(tmp_path / "vectors.png").convert("RGB")
+    assert pixels.size == (2 * vectors.width, 2 * vectors.height)
+    pictures = [np.asarray(one.resize((200, 150), 4), float) for one in (pixels, vectors)]
+    assert np.abs(pictures[0] - pictures[1]).mean() < 2 and pictures[0].std() > 10

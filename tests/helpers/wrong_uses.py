@@ -27,6 +27,7 @@ from starlette.requests import Request
 
 import walker_jax as wj
 from walker_jax import cellmaps, checks, figures, kernels, multibody, storage
+from walker_jax.basins import windows
 from walker_jax.execution import tiles
 from walker_jax.explorer import lattice, offers, service, subjects, walks
 from walker_jax.fitting.bounds import Bounds
@@ -187,7 +188,11 @@ LOST = gait([[np.nan, np.nan]], np.nan, found=False)
 
 def where_none_is_found(call: Callable[[], object]) -> object:
     """Make a call as if a search had found no gait, which spares the search."""
-    with mock.patch.object(gait_robustness, "search_gait", lambda *_, **__: LOST):
+    found = lambda *_, **__: LOST
+    with (
+        mock.patch.object(gait_robustness, "search_gait", found),
+        mock.patch.object(windows, "search_gait", found),
+    ):
         return call()
 
 

@@ -119,12 +119,12 @@ def test_cubics_that_turn_twice_are_known():
     assert turned > 10
 
 
-@pytest.mark.parametrize("dip", DIPS)
-def test_a_violation_between_two_turns_is_noted(dip):
+def test_a_violation_between_two_turns_is_noted():
     """A step of a mode whose only variable is time spans all of it."""
     end = 5.0
     conditions = [
-        Condition(lambda s, by=by: DIPS[dip](s[0], end) + by, name)
+        Condition(lambda s, by=by, dip=dip: DIPS[dip](s[0], end) + by, f"{dip}, {name}")
+        for dip in DIPS
         for name, by in (("low", -1e-3), ("high", 1e-3))
     ]
     guard = Guard(lambda s: s[0] - end, SECTION)
@@ -132,7 +132,8 @@ def test_a_violation_between_two_turns_is_noted(dip):
     start = (jnp.float64(0.0),)
     method = integrator_of(np.float64).method(mode.field, start)
     run = jax.jit(lambda: follow_mode(mode, start, jnp.asarray(True), method).violated)
-    assert {key: bool(flag) for key, flag in run().items()} == {"low": True, "high": False}
+    noted = {key: bool(flag) for key, flag in run().items()}
+    assert noted == {f"{dip}, {name}": name == "low" for dip in DIPS for name in ("low", "high")}
 
 
 def test_the_sign_alone_is_found_earlier():

@@ -82,7 +82,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", ["a reset", pytest.param("a stop", marks=pytest.mark.slow), "a decay"]
+)
 def test_the_time_of_an_event_is_differentiated(name):
     """In both modes, in a batch, also where no event happens."""
     system, start, exact, values = CASES[name]

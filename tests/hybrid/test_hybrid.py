@@ -238,7 +238,7 @@ def test_runge_kutta_steps_land_too(solver):
     assert abs(time - (0.4 + np.pi / 2)) < 1e-6 and abs(place) < 1e-15 and abs(rate - 1) < 1e-6
 
 
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize("measured", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch, measured):
     """From q = 0, p = 1 the guard -q begins at zero and falls; it rises at t = pi."""
     cautious = Method.begin

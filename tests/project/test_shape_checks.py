@@ -5,7 +5,6 @@ each of their functions thousands of times. So one process has them on, and trac
 """
 
 import inspect
-import os
 import subprocess
 import sys
 
@@ -32,11 +31,11 @@ with install_import_hook([f"walker_jax.{room}" for room in sys.argv[2:]], "beart
 LEGS, TRUNK = [0.3, -0.4], [0.3, -0.4, -0.1]
 STARTS = [
     (wj.SimplestWalker(0.01), LEGS),
-    (wj.systems.DuffingOscillator(), LEGS),
     (wj.systems.HenonMap(), LEGS),
 ]
 if sys.argv[1] == "all":
     STARTS += [
+        (wj.systems.DuffingOscillator(), LEGS),
         (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
         (wj.UpperBodyWalker(0.01), TRUNK),
         (wj.KneedWalker(0.05, check_lock=True, check_scuffing=True), TRUNK),
@@ -64,14 +63,9 @@ except Exception as error:
 
 
 @pytest.mark.parametrize("kinds", ["some", pytest.param("all", marks=pytest.mark.slow)])
-def test_strides_of_all_kinds_keep_to_their_shapes(kinds, tmp_path):
-    run = subprocess.run(
-        [sys.executable, "-c", PROGRAM, kinds, *ROOMS],
-        env=os.environ | {"PYTHONPYCACHEPREFIX": str(tmp_path)},  # no code that is unchecked
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_strides_of_all_kinds_keep_to_their_shapes(kinds):
+    command = [sys.executable, "-c", PROGRAM, kinds, *ROOMS]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert run.stdout.split() == ["TypeCheckError"], "a wrong shape is not seen"
 

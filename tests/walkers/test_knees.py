@@ -224,8 +224,8 @@ def test_what_is_checked_fails_at_heel_strike():
         changed(walker, check_lock=1)
 
 
-def test_places_of_the_legs_have_the_knee(path):
-    states = path[1]
+def test_places_of_the_legs_have_the_knee():
+    states = BentState(*np.random.default_rng(6).uniform(-0.6, 0.6, (6, 12)))
     shown = WALKER.picture().places(states, np.zeros(2))
     stance, hip, swing, knee = shown.values()
     for k, q in enumerate(np.stack(states[:3], axis=1)):

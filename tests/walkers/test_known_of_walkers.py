@@ -148,7 +148,7 @@ PARAMETERS = [(-3.5, -0.5), (-2, 2.5), (-2, 1)]
         pytest.param(wj.SimplestWalker, False, marks=pytest.mark.slow),
         (wj.SpringWalker, False),
         pytest.param(wj.SpringWalker, True, marks=pytest.mark.slow),
-        (wj.PoweredWalker, True),
+        pytest.param(wj.PoweredWalker, True, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_known_changes_no_stride(kind, launched):
@@ -279,6 +279,7 @@ def test_an_impact_that_turns_the_leg_back_has_a_margin_of_that():
     assert float(found.backward) == pytest.approx(-(0.9**2) / 2, rel=1e-12)
 
 
+@pytest.mark.slow  # by default the facts above tell that it has not the simplest walker's region
 def test_gaits_of_another_motion_are_searched_where_they_may_be():
     walker = TorqueWalker(0.01, *jnp.array([0.0, 0.0]))  # no torque: the simplest walker's gaits
     assert moves_like(walker, wj.SimplestWalker) is False

@@ -122,11 +122,7 @@ def by_adjoint(monkeypatch):
     monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
 
 
-def test_derivatives():
-    check_derivatives("simplest", "spline")
-
-
-@pytest.mark.slow
+@pytest.mark.slow  # by default those of a machine of tables are checked, in test_networks.py
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", WALKERS)
 def test_derivatives_of_all_walkers_by_all_shapes(name, kind):

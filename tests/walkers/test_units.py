@@ -108,6 +108,7 @@ def test_other_systems_have_no_units():
         kind_of(data)
 
 
+@pytest.mark.slow
 def test_the_page_prints_what_its_program_computes():
     """And Froude's similarity: a gait on the Moon takes longer by the root of gravities."""
     page = PAGE.read_text()

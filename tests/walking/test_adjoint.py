@@ -30,7 +30,7 @@ class Flight(NamedTuple):
 class Ball(HybridSystem):
     """A ball in a field with several weights, seen at times 2 apart, some bounces later.
 
-    Rising and falling are modes that are entered again and again. A ball above 2 has escaped.
+    A flight is entered again and again. A ball above 2 has escaped.
     """
 
     weights: dict
@@ -46,11 +46,10 @@ class Ball(HybridSystem):
             return Flight(y.velocity, force, jnp.ones_like(force))
 
         bounce = lambda y: y._replace(velocity=-self.restitution * y.velocity)
-        floor = Guard(lambda y: -y.height, "rising", reset=bounce)
-        top = Guard(lambda y: -y.velocity, "falling")
+        floor = Guard(lambda y: -y.height, "flight", reset=bounce)
         seen = Guard(lambda y: y.clock - 2, SECTION, reset=lambda y: y._replace(clock=0 * y.clock))
         escapes = Guard(lambda y: y.height - 2, "ESCAPED")
-        return {"rising": Mode(field, (top, escapes, seen)), "falling": Mode(field, (floor, seen))}
+        return {"flight": Mode(field, (floor, escapes, seen))}
 
     def lift(self, x):
         return Flight(x[0], x[1], 0 * x[0])

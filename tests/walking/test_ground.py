@@ -77,6 +77,7 @@ def test_margins_on_a_step_of_nothing_are_those_of_a_stride():
         np.testing.assert_allclose(values, level.by_name[name], rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_margins_on_ground_a_little_lower_are_those_on_level():
     """On round feet many fall with the swing foot below the level all the time."""
     walker = jax.tree.map(np.asarray, wj.RoundFootWalker(0.01))

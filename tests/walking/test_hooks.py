@@ -249,6 +249,7 @@ def test_its_gradient_is_that_of_sizes(walking, nearest):
         assert slope == pytest.approx(change, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_area_is_that_of_areas(walking):
     """By a parameter that moves the boundary by more than the errors."""
     finer = wj.Grid.sheared(theta=(0.1, 0.4, 48), sum=(-0.08, 0.04, 48))

@@ -292,6 +292,7 @@ def test_falls_that_no_stride_can_report_are_refused():
             wj.stride(kind(0.01), jnp.array([0.2, -0.2]))
 
 
+@pytest.mark.slow
 def test_falls_may_compare_the_largest_of_several():
     class Largest(wj.SimplestWalker):
         def falls(self, state):

@@ -13,6 +13,7 @@ from walker_jax.systems.outcomes import Outcome
 SLOPE = 0.004
 AT_A_STEPS_END = 0.14289452135562897, -0.14757704734802246
 """A start whose heel strike falls on the end of an integration step in float32."""
+GRID = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
 
 
 def walker(dtype):
@@ -100,23 +101,22 @@ def test_the_least_disturbance_in_float32(slope):
 
 
 def test_many_strides_say_once_that_float64_is_off():
-    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
+    system, grid = wj.systems.HenonMap(0.2), wj.Grid.plain(x=(-2, 2, 4), y=(-2, 2, 4))
     warn_once.cache_clear()
     with jax.enable_x64(False):
         with pytest.warns(PrecisionWarning, match="jax_enable_x64") as said:
-            wj.basin(wj.SimplestWalker(SLOPE), grid)
-            wj.basin(wj.SimplestWalker(SLOPE), grid)
+            wj.basin(system, grid)
+            wj.basin(system, grid)
         assert len(said) == 1
-    wj.basin(wj.SimplestWalker(SLOPE), grid)  # in float64 nothing is said
+    wj.basin(system, grid)  # in float64 nothing is said
 
 
 def test_what_needs_float64_refuses_float32():
-    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
     with jax.enable_x64(False):
         simplest = wj.SimplestWalker(SLOPE)
         for call in (
-            lambda: wj.boundary_dimension(simplest, grid),
-            lambda: wj.robustness(simplest, grid),
+            lambda: wj.boundary_dimension(simplest, GRID),
+            lambda: wj.robustness(simplest, GRID),
             lambda: wj.robustness(simplest, values=[0.004]),
             lambda: wj.continue_gait(simplest, "slope", (0.001, 0.02)),
             lambda: wj.most_probable_fall(simplest),
@@ -125,17 +125,22 @@ def test_what_needs_float64_refuses_float32():
                 call()
 
 
-def test_parameters_that_were_rounded_are_named_once():
-    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
+@pytest.mark.parametrize(
+    "call",
+    [
+        pytest.param(wj.find_gait, id="find_gait"),
+        pytest.param(lambda walker: wj.basin(walker, GRID), id="basin", marks=pytest.mark.slow),
+    ],
+)
+def test_parameters_that_were_rounded_are_named_once(call):
     with jax.enable_x64(False):
         rounded = wj.SimplestWalker(SLOPE)
-    for call in (wj.find_gait, lambda walker: wj.basin(walker, grid)):
-        warn_once.cache_clear()
-        with pytest.warns(PrecisionWarning, match="slope 0.004000000189989805 has the") as said:
-            call(rounded)
-            call(rounded)
-        assert len(said) == 1
-        call(wj.SimplestWalker(SLOPE))  # nothing is said
+    warn_once.cache_clear()
+    with pytest.warns(PrecisionWarning, match="slope 0.004000000189989805 has the") as said:
+        call(rounded)
+        call(rounded)
+    assert len(said) == 1
+    call(wj.SimplestWalker(SLOPE))  # nothing is said
 
 
 def test_a_probable_fall_of_a_rounded_walker_is_refused():

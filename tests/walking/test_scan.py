@@ -56,6 +56,7 @@ def test_records_have_derivatives_in_both_modes():
     np.testing.assert_array_equal(jax.jacfwd(follow)(0.3), [2, np.nan, np.nan])
 
 
+@pytest.mark.slow
 def test_ground_after_a_fall_has_no_derivatives():
     walker, heights = wj.SimplestWalker(0.009), jnp.array([0.0, 0.2, 0.0])
     start = jnp.array([0.2003109, -0.1998325])  # its gait
