@@ -43,7 +43,7 @@ def gait():
 
 @pytest.fixture(scope="module")
 def least(gait):
-    return least_disturbance(WALKER, gait, directions=1440)
+    return least_disturbance(WALKER, gait, directions=360)
 
 
 def test_a_push_that_changes_the_speed_alone(gait, least):
