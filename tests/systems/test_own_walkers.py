@@ -46,7 +46,7 @@ class Unfinished(wj.Walker):
 
 
 class Halved(wj.System):
-    section = ("x",)
+    section = ("x", "y")
 
     def advance(self, x):
         return x / 2, 0, 1.0
@@ -118,7 +118,7 @@ def test_parameters_are_options_with_meaning_unit_and_default(run):
 def test_a_result_is_not_resumed_or_reused_by_changed_code(run, place):
     """Of any system in a file that imports another one."""
     command = ["basin", "--system", "torque_walker.py:Halved", "--axis", "x=0:1:3"]
-    command += ["--method", "direct", "--strides", "3"]
+    command += ["--axis", "y=0:1:2", "--method", "direct", "--strides", "3"]
     assert run(*command)[0] == 0
     assert "computed before" in run(*command)[1]
     for name in ("torque_helper.py", "torque_walker.py"):
