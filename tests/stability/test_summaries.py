@@ -150,7 +150,7 @@ def test_a_walker_of_own_equations_has_not_the_papers_window():
 
 
 @pytest.mark.slow
-def test_a_walker_of_own_equations_is_searched_for_over_the_section():
+def test_such_a_walker_is_searched_for_over_the_section():
     assert reason_without_gait(Lifted) == (
         "none of the 80000 starts over the section makes a stride (explain says why)"
     )

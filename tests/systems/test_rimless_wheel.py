@@ -117,7 +117,7 @@ def gait_of(wheel):
 # Gaits
 
 
-def test_a_gait_by_differences_of_strides_is_that_of_the_reference():
+def test_a_gait_by_differences_is_that_of_the_reference():
     states, multipliers = newton(LEVEL, [-0.44, 0.61, 0.34], step=2e-3)
     np.testing.assert_allclose(states, LEVEL_GAIT, rtol=0, atol=1e-11)
     gait = SimpleNamespace(states=states, multipliers=multipliers)
