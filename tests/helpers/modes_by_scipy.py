@@ -54,7 +54,10 @@ class ModesByScipy:
 
 
 def follow(look, y):
-    """The state in which a guard rises, the guard's number, and when; at once if one has risen."""
+    """The state in which a guard rises, the guard's number, and when; at once if one has risen.
+
+    A value that is zero as the mode begins must fall first.
+    """
     _, values, admitted = map(np.asarray, look(y))
     due = np.flatnonzero((values > DUE) & admitted)
     if len(due):
@@ -65,7 +68,7 @@ def follow(look, y):
         rise.terminal, rise.direction = True, 1
         return rise
 
-    time, how = 0.0, {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-3}
+    time, how = 0.0, dict[str, Any](rtol=1e-13, atol=1e-13, first_step=1e-3)
     events = [event(i) for i in range(len(values))]
     while True:
         rates = lambda _, y: np.asarray(look(y)[0])
