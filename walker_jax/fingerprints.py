@@ -9,6 +9,7 @@ import contextlib
 import functools
 import secrets
 import sys
+import threading
 from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from types import FunctionType
@@ -122,11 +123,15 @@ def read_loaded(path: Path) -> bytes:
     return kept[path][1]
 
 
+parsing = threading.Lock()
+"""Held while Python parses: in 3.11, `ast.parse` in two threads at once may raise `SystemError`."""
+
+
 @functools.lru_cache(MOST)
 def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
     """Return all imports of a program: the dots before a name, and the parts of the name."""
     found: list[tuple[int, Sequence[str]]] = []
-    with contextlib.suppress(SyntaxError, ValueError):  # such a file cannot be imported either
+    with parsing, contextlib.suppress(SyntaxError, ValueError):  # such a file is never imported
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Import):
                 found += [(0, one.name.split(".")) for one in node.names]

@@ -296,7 +296,9 @@ def test_a_cell_that_seems_to_stand_still_is_no_attractor(direct, mapped):
     assert "artefact" not in direct
 
 
-@pytest.mark.parametrize(("slope", "joined"), [(0.0114, 1), (0.0124, 3), (0.0178, 3)])
+@pytest.mark.parametrize(
+    ("slope", "joined"), [(0.0114, 1), pytest.param(0.0124, 3, marks=pytest.mark.slow), (0.0178, 3)]
+)
 def test_a_cycle_of_cells_belongs_to_where_most_centres_lead(slope, joined):
     """Every cycle, and the cells that lead to it, against walks from the centres one by one."""
     walker, grid = wj.SimplestWalker(slope), wj.Grid.sheared(**PAPER)
@@ -331,6 +333,7 @@ def test_a_cycle_of_cells_belongs_to_where_most_centres_lead(slope, joined):
     np.testing.assert_array_equal(label >= 0, data.fate.values.ravel() == wj.Outcome.STRIDE)
 
 
+@pytest.mark.slow
 def test_a_cycle_of_cells_may_belong_to_one_without_a_period(monkeypatch):
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
     monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)

@@ -53,7 +53,7 @@ def after_one(v):
 
 
 LORENZ = wj.Map(after_one, ("x", "y", "z"))
-STARTS = wj.Grid.plain(x=(-1, 3, 8), y=(-2, 3, 8), z=(-2, 2.5, 8))
+STARTS = wj.Grid.plain(x=(-1, 3, 6), y=(-2, 3, 6), z=(-2, 2.5, 6))
 
 
 @pytest.fixture(scope="module")

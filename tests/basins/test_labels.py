@@ -54,7 +54,7 @@ def test_labels_of_a_map_are_those_of_its_sides():
     system, x = with_parameter(CUBIC, "a", 1.5), centres(LINE)
     attractors = wj.find_attractors(system, x)
     np.testing.assert_allclose([one.states[0, 0] for one in attractors], [-(0.5**0.5), 0.5**0.5])
-    found = jax.vmap(lambda y: wj.label(system, attractors, y))(x)
+    found = jax.jit(jax.vmap(lambda y: wj.label(system, attractors, y)))(x)
     end = x[:, 0]
     for _ in range(200):
         end = 1.5 * end - end**3

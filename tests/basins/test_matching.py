@@ -75,7 +75,7 @@ def test_motions_without_a_period_have_one_number():
 @pytest.fixture(scope="module")
 def followed():
     slopes = [0.0122, 0.0125, 0.0145, 0.0155, 0.0195]
-    return wj.continue_basins(wj.SimplestWalker(0.004), "slope", slopes, REGION, samples=2000)
+    return wj.continue_basins(wj.SimplestWalker(0.004), "slope", slopes, REGION, samples=1000)
 
 
 @pytest.mark.slow

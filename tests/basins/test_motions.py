@@ -27,6 +27,11 @@ the largest value, at x = sqrt(a / 3), is below sqrt(a): for a < 2.598. At 2.5 b
 GRID = wj.Grid.plain(x=(-1.6, 1.6, 16), y=(-1, 1, 2))
 
 
+@pytest.fixture(scope="module")
+def direct():
+    return wj.basin(CUBIC, GRID, "direct")
+
+
 def kept_side(x, a, strides=3000):
     """The side of 0 on which the map stays, by iteration in NumPy."""
     for _ in range(1000):
@@ -39,8 +44,8 @@ def kept_side(x, a, strides=3000):
 
 
 @pytest.mark.parametrize("method", ["direct", "cell-map"])
-def test_two_chaotic_attractors_in_disjoint_cells_are_two(method):
-    data = wj.basin(CUBIC, GRID, method)
+def test_two_chaotic_attractors_in_disjoint_cells_are_two(method, direct):
+    data = direct if method == "direct" else wj.basin(CUBIC, GRID, method)
     assert data.period.values.tolist() == [0, 0]
     first = data.states.values[:, 0, 0]
     assert first[0] < 0 < first[1]
@@ -50,13 +55,13 @@ def test_two_chaotic_attractors_in_disjoint_cells_are_two(method):
     np.testing.assert_allclose(data.area, 3.2, rtol=1e-14)  # half of the grid each, by symmetry
 
 
-def test_they_are_two_in_pieces_refined_and_after_a_jump(tmp_path):
+def test_they_are_two_in_pieces_refined_and_after_a_jump(tmp_path, direct):
     stored = wj.basin(CUBIC, GRID, "direct", out=tmp_path / "two.zarr")
-    np.testing.assert_array_equal(stored.attractor, wj.basin(CUBIC, GRID, "direct").attractor)
-    refined = wj.refine(CUBIC, GRID, 1, check=200)
+    np.testing.assert_array_equal(stored.attractor, direct.attractor)
+    refined = wj.refine(CUBIC, GRID, 1, check=50)
     assert refined.period.values.tolist() == [0, 0]
     np.testing.assert_allclose(refined.area, 3.2, rtol=0.05)
-    jump = wj.tipping_probability(CUBIC, "a", 2.4, GRID, samples=50)
+    jump = wj.tipping_probability(CUBIC, "a", 2.4, GRID, samples=20)
     assert jump.before == jump.after == ("attractor 0", "attractor 1")
     np.testing.assert_array_equal(np.diag(jump.on_attractor), 1)  # both sides are kept
 
@@ -64,7 +69,7 @@ def test_they_are_two_in_pieces_refined_and_after_a_jump(tmp_path):
 def test_they_keep_their_numbers_over_a_parameter():
     """From two fixed points through two chaotic attractors to one, beyond the merging at 2.598."""
     values = [1.5, 2.4, 2.5, 2.65]
-    data = wj.continue_basins(CUBIC, "a", values, GRID, samples=60)
+    data = wj.continue_basins(CUBIC, "a", values, GRID, samples=30)
     found = np.isfinite(data.fraction.values)
     assert found.sum(axis=1).tolist() == [2, 2, 2, 1]
     assert data.period.values.tolist() == [1, 1, 0, 0]

@@ -30,7 +30,10 @@ def test_at_a_fractal_boundary_the_error_is_infinite():
     assert found.fractal.all() and np.isinf(found.gradient_error).all()
 
 
-@pytest.mark.parametrize(("slope", "fractal"), [(0.003, False), (0.006, False), (0.013, True)])
+@pytest.mark.parametrize(
+    ("slope", "fractal"),
+    [(0.003, False), pytest.param(0.006, False, marks=pytest.mark.slow), (0.013, True)],
+)
 def test_smooth_boundaries_are_told_from_fractal_ones(slope, fractal):
     found = wj.measure(
         wj.SimplestWalker(slope), "area", ["slope"], grid=SIMPLEST, levels=0, check=10_000
@@ -41,6 +44,7 @@ def test_smooth_boundaries_are_told_from_fractal_ones(slope, fractal):
         assert abs(found.gradient[0] - expected[slope]) < 3 * found.gradient_error[0]
 
 
+@pytest.mark.slow
 def test_where_margins_jump_the_error_holds():
     """A third of this smooth boundary are starts whose strike is missed, and which fall later on.
 

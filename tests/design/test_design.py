@@ -19,7 +19,7 @@ from walker_jax.design.evaluation import ENDS_STAGE, evaluate_objective
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import Problem, describe_problem, parse_objective
 
-SHOWN = 100
+SHOWN = 50
 """Cells along each axis in pictures of basins."""
 
 
@@ -131,6 +131,7 @@ def test_at_a_bound_and_where_a_limit_holds(no_basins):
     assert found.scan_allowed.values[0].tolist() == [False, True, True, True, False]
 
 
+@pytest.mark.slow
 def test_a_weighted_sum(no_basins):
     """Speed against steepness: where ten times speed falls behind ninety times the slope."""
     weights = {"speed": 10.0, "cost-of-transport": -90.0}

@@ -1,4 +1,5 @@
-"""The action of the most probable fall changes as its derivative says."""
+"""The action of the most probable fall changes as its derivative says; by the slope alone, see
+test_probable_falls."""
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +27,11 @@ def strict():
 SPRING = wj.SpringWalker, {"slope": 0.004, "hip_stiffness": 0.5}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 @pytest.mark.parametrize(
     ("kind", "values", "strides"),
-    [
-        (wj.SimplestWalker, {"slope": 0.004}, 1),
-        *(pytest.param(*SPRING, strides, marks=pytest.mark.slow) for strides in (1, 3)),
-    ],
+    [(wj.SimplestWalker, {"slope": 0.004}, 1), (*SPRING, 1), (*SPRING, 3)],
 )
 def test_the_action_changes_with_slope_and_spring(kind, values, strides):
     """By differences of actions that are searched for anew."""

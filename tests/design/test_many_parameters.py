@@ -156,7 +156,7 @@ def best_weights():
 
 
 def test_a_function_of_the_gait_is_maximised_by_many_weights():
-    how: Any = {"steps": 60, "rate": 0.05, "progress": False}
+    how: Any = {"steps": 40, "rate": 0.05, "progress": False}
     found = wj.optimise(DISC, None, score, parameters=lambda one: one.w, **how)
     gait = wj.find_gait(disc(best_weights()), [0.2, 0.2])
     best = float(score(disc(best_weights()), gait))

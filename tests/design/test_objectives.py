@@ -309,6 +309,7 @@ def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
         assert found.averaged.all() and found.gradient == pytest.approx([expected], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_where_a_margin_jumps_the_gradient_is_a_bands_average():
     """From the nearest point of the first a strike is missed; its margin would give -0.0245."""
     names = ("hip_angle",)

@@ -17,17 +17,25 @@ OVER = PartitionSpec("cells")
 walker_at = lambda slope: wj.SimplestWalker(slope)
 
 
+WALKS = [
+    lambda slope, x: wj.walk(walker_at(slope), x, 2),
+    lambda slope, x: wj.walk(walker_at(slope), x, 2, ground=[0.0, 0.001]),
+]
+GAITS = [
+    lambda slope, x: wj.find_gait(walker_at(slope), x),
+    lambda slope, x: jax.jacfwd(lambda x: wj.find_gait(walker_at(slope), x, 2).residual)(x),
+    lambda slope, x: wj.find_gait(wj.systems.HenonMap(1.0, 10 * slope), x),
+]
+
+
 @pytest.mark.parametrize(
-    "function",
+    ("function", "shared"),
     [
-        lambda slope, x: wj.walk(walker_at(slope), x, 2),
-        lambda slope, x: wj.walk(walker_at(slope), x, 2, ground=[0.0, 0.001]),
-        lambda slope, x: wj.find_gait(walker_at(slope), x),
-        lambda slope, x: jax.jacfwd(lambda x: wj.find_gait(walker_at(slope), x, 2).residual)(x),
-        lambda slope, x: wj.find_gait(wj.systems.HenonMap(1.0, 10 * slope), x),
+        *((one, shared) for one in WALKS for shared in (True, False)),
+        *((one, bool(i % 2)) for i, one in enumerate(GAITS)),
+        *(pytest.param(one, not i % 2, marks=pytest.mark.slow) for i, one in enumerate(GAITS)),
     ],
 )
-@pytest.mark.parametrize("shared", [True, False])
 def test_cells_are_those_without_a_mesh(function, shared):
     mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("cells",))
     slope = jnp.asarray(0.009) if shared else jnp.array([0.009, 0.0091, 0.0092])

@@ -14,6 +14,8 @@ from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.strides import FALL, STRIDE, UNDECIDED, verify_stride
 
 PLANE, LINES = Space(2, 2), Space(2, 1)
+LONG_STEPS = 1e-7
+"""Tolerance with which a stride has half as many steps; what is proved holds with any."""
 GAIT = np.array([0.1533895648762378, -0.1560801466756806])
 WALKERS = {
     "simplest": wj.SimplestWalker(0.004),
@@ -60,7 +62,7 @@ def test_random_strides_lie_in_their_enclosures(name):
     walker = WALKERS[name]
     about = np.asarray(wj.find_gait(walker).states[0])
     rng = np.random.default_rng(1)
-    centres = about + rng.normal(size=(1000, 2)) * 1e-3
+    centres = about + rng.normal(size=(300, 2)) * 1e-3
     verdict, off = errors(walker, centres, 3e-5, seed=2)
     assert np.mean(verdict == STRIDE) > 0.5
     assert off.max() <= 1 and off.max() > 0.05  # and the enclosures are close
@@ -88,8 +90,8 @@ def test_a_million_random_strides_lie_in_their_enclosures():
 
 def test_a_remainder_of_the_series_left_out_is_seen(monkeypatch):
     """With long steps of a low order the remainder is what matters: without it starts are lost."""
-    centres = GAIT + np.random.default_rng(6).normal(size=(200, 2)) * 1e-4
-    coarse = {"order": 6, "tolerance": 1e-5}
+    centres = GAIT + np.random.default_rng(6).normal(size=(40, 2)) * 1e-4
+    coarse = {"order": 8, "tolerance": 1e-5}
     walker = wj.SimplestWalker(0.004)
     verdict, off = errors(walker, centres, 1e-8, seed=7, **coarse)
     assert np.all(verdict == STRIDE) and off.max() <= 1
@@ -113,7 +115,7 @@ def test_the_jacobian_of_all_points_of_a_box_is_enclosed():
         tuple(exactly(one * ones, LINES) for one in direction) for direction in np.eye(2)
     )
     centres = GAIT + np.random.default_rng(8).normal(size=(20, 2)) * 1e-3
-    found = verified(walker, centres, radius, LINES, tangents)
+    found = verified(walker, centres, radius, LINES, tangents, tolerance=LONG_STEPS)
     assert np.all(found.verdict == STRIDE)
     corner = centres + radius
     jacobian = np.asarray(jacobians(walker, corner))
@@ -129,12 +131,12 @@ def jacobians(walker, x):
     return jax.vmap(one)(jax.numpy.asarray(x))
 
 
-STARTS = np.array([GAIT, [0.15, -0.3], [0.8, -0.8]])
+STARTS = np.array([GAIT, [0.15, -0.6], [0.8, -0.8]])
 """The gait, a start that falls, and one with theta above pi / 4 and all else as in a stride."""
 
 
-def verdicts_of_starts() -> list[int]:
-    return verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES).verdict.tolist()
+def verified_starts() -> strides.VerifiedStride:
+    return verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES, tolerance=LONG_STEPS)
 
 
 def record(monkeypatch, name: str, pick: Callable) -> list:
@@ -155,7 +157,7 @@ def test_starts_stride_fall_or_are_not_feasible(monkeypatch):
     watched = record(monkeypatch, "watch_step", lambda args, _: args[3])
     begun = record(monkeypatch, "flow_at", lambda args, _: args[1])
     latest = record(monkeypatch, "enclose_strike", lambda _, strike: strike.latest)
-    found = verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES)
+    found = verified_starts()
     assert found.verdict.tolist() == [STRIDE, FALL, UNDECIDED]
     for row, count in enumerate(found.steps[:2]):
         until = [one[row] for one in begun[: count - 1]]
@@ -164,7 +166,7 @@ def test_starts_stride_fall_or_are_not_feasible(monkeypatch):
 
 
 def test_a_step_that_is_not_proved_counts_for_nothing(monkeypatch):
-    steps = verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES).steps
+    steps = verified_starts().steps
     take, watch, calls = strides.take_step, strides.watch_step, []
 
     def take_step(*args, proved, **how):
@@ -174,7 +176,7 @@ def test_a_step_that_is_not_proved_counts_for_nothing(monkeypatch):
 
     last = lambda number: number < steps  # the one with the strike or the fall
     monkeypatch.setattr(strides, "take_step", partial(take_step, proved=last))
-    assert verdicts_of_starts() == [UNDECIDED] * 3
+    assert verified_starts().verdict.tolist() == [UNDECIDED] * 3
     calls.clear()
 
     def watch_step(*args):
@@ -183,7 +185,7 @@ def test_a_step_that_is_not_proved_counts_for_nothing(monkeypatch):
 
     monkeypatch.setattr(strides, "take_step", partial(take_step, proved=lambda number: number > 1))
     monkeypatch.setattr(strides, "watch_step", watch_step)
-    assert verdicts_of_starts() == [STRIDE, FALL, UNDECIDED]
+    assert verified_starts().verdict.tolist() == [STRIDE, FALL, UNDECIDED]
 
 
 @pytest.mark.parametrize(
@@ -201,5 +203,5 @@ def test_a_verdict_rests_on_each_fact(monkeypatch, part, fact, verdicts):
     prove = getattr(strides, part)
     flags = {name: np.full(len(STARTS), value) for name, value in fact.items()}
     monkeypatch.setattr(strides, part, lambda *args, **how: prove(*args, **how)._replace(**flags))
-    monkeypatch.setattr(strides, "MOST_STEPS", 18)
-    assert verdicts_of_starts() == [*verdicts, UNDECIDED]
+    monkeypatch.setattr(strides, "MOST_STEPS", 8)
+    assert verified_starts().verdict.tolist() == [*verdicts, UNDECIDED]

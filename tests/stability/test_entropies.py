@@ -131,7 +131,7 @@ def grebogi(n):
     """
     share = (np.arange(n) + 0.5) / n
     t, x = np.meshgrid(2 * np.pi * share, share - 0.5, indexing="ij")
-    for _ in range(300):
+    for _ in range(80):
         t, x = 1.32 * np.sin(2 * t) - 0.9 * np.sin(4 * t) - x * np.sin(t) + t, -0.3 * np.cos(t)
     return (np.cos(t) > 0).astype(int)
 

@@ -23,7 +23,9 @@ from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.stability.rays import spread_directions
 from walker_jax.walking.disturbed import follow_disturbed, follow_disturbed_margins
 
-WALKER = wj.SpringWalker(0.01, 0.2)
+WALKER = wj.SimplestWalker(0.004)
+"""On a steeper slope the boundary is fractal, and each search finds another edge."""
+SPRING = wj.SpringWalker(0.01, 0.2)
 ONE = np.array([1.0, 0.0, 0.0])
 
 
@@ -102,8 +104,8 @@ def test_actions_are_the_least_of_at_most_so_many_strides(monkeypatch):
 
 @pytest.mark.slow
 def test_margins_of_disturbed_strides_and_their_derivatives():
-    mapper = mapper_of_gait(WALKER, None, 200, None)
-    start = np.stack(WALKER.lift(jnp.asarray(mapper.attractors[0].states[0])))
+    mapper = mapper_of_gait(SPRING, None, 200, None)
+    start = np.stack(SPRING.lift(jnp.asarray(mapper.attractors[0].states[0])))
     walks = DisturbedWalks(mapper, start, np.ones(3), 3, None)
     walker, integrator = walks.arrays()
 
@@ -133,8 +135,11 @@ def test_margins_of_disturbed_strides_and_their_derivatives():
 @pytest.mark.parametrize("step", [1e-17, -1e-17, 1e-100, -1e-300])
 @pytest.mark.parametrize(
     "walker",
-    [WALKER, pytest.param(wj.RoundFootWalker(0.01), marks=pytest.mark.slow)],
-    ids=["spring", "round feet"],
+    [
+        WALKER,
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (SPRING, wj.RoundFootWalker(0.01))),
+    ],
+    ids=lambda one: type(one).__name__,
 )
 def test_a_step_within_rounding_is_as_good_as_none(walker, step):
     state = wj.find_gait(walker).states[0]
@@ -144,9 +149,12 @@ def test_a_step_within_rounding_is_as_good_as_none(walker, step):
     np.testing.assert_allclose(rough.states, even.states, atol=1e-12)
 
 
+SHORT: Any = {"strides": 2, "directions": 12}
+
+
 @pytest.fixture(scope="module")
 def fall():
-    return wj.most_probable_fall(WALKER, strides=3, directions=12)
+    return wj.most_probable_fall(WALKER, **SHORT)
 
 
 def test_the_least_sequence_topples_and_shorter_ones_do_not(fall):
@@ -160,11 +168,24 @@ def test_the_least_sequence_topples_and_shorter_ones_do_not(fall):
         assert outcomes[-1] == outcome and (outcomes[:-1] == Outcome.STRIDE).all()
     mapper = mapper_of_gait(WALKER, None, 200, None)
     start = np.asarray(fall.states[0])
-    walks = DisturbedWalks(mapper, start, ONE, 3, None)
-    rays = np.random.default_rng(0).normal(size=(5000, 3))
+    walks = DisturbedWalks(mapper, start, ONE, SHORT["strides"], None)
+    rays = np.random.default_rng(0).normal(size=(5000, SHORT["strides"]))
     rays *= 0.99 * np.sqrt(2 * fall.action) / np.linalg.norm(rays, axis=1, keepdims=True)
     assert not walks.fails(rays).any()
     assert walks.fails(fall.disturbances[:, 0][None] * (1 + 1e-8)).all()
+
+
+def test_the_action_changes_with_the_slope(fall):
+    """By differences of actions that are searched for anew."""
+    found = wj.measure(WALKER, "fall-action", ["slope"], **SHORT)
+    assert found.value == pytest.approx(fall.action, rel=1e-12)
+    step = 1e-3 * 0.004
+    low, high = (
+        wj.most_probable_fall(wj.SimplestWalker(0.004 + side), **SHORT).action
+        for side in (-step, step)
+    )
+    assert found.gradient[0] == pytest.approx((high - low) / (2 * step), rel=1e-4)
+    assert np.shape(wj.measure(WALKER, "fall-action", (), **SHORT).gradient) == (0,)
 
 
 def test_the_law_is_that_of_a_half_space_that_bends(fall):
@@ -185,7 +206,7 @@ def test_the_picture_has_the_sequence_the_path_and_the_law(fall):
     assert path.get_xlabel() and law.get_yscale() == "log"
     assert not figures.probable_fall(fall, title=False).get_suptitle()
     named = figures.probable_fall(fall, WALKER).get_suptitle()
-    assert named.startswith("SpringWalker, slope 0.01 rad, hip stiffness 0.2\n")
+    assert named.startswith("SimplestWalker, slope 0.004 rad\n")
     assert sequence.get_ylabel() == "height of the step (l)"
 
 
@@ -232,7 +253,7 @@ def test_falls_rarer_than_a_float_holds_have_a_logarithm():
 @pytest.mark.slow
 @pytest.mark.parametrize("ground", [Disturbance(push=1.0), Disturbance(step=1.0, push=3.0)])
 def test_pushes_and_the_law_against_walks(ground):
-    fall = wj.most_probable_fall(WALKER, ground, strides=8)
+    fall = wj.most_probable_fall(SPRING, ground, strides=8)
     scale = float(np.sqrt(fall.action / 4.5))
     draw = lambda key: Disturbance(
         *(
@@ -240,7 +261,7 @@ def test_pushes_and_the_law_against_walks(ground):
             for i, one in enumerate(ground)
         )
     )
-    walked = wj.steps_to_fall(WALKER, draw, 400)
+    walked = wj.steps_to_fall(SPRING, draw, 400)
     assert fall.residual < 1e-8
     assert fall.mean_strides(scale) == pytest.approx(walked.mean, rel=0.5)
 

@@ -43,7 +43,7 @@ def gait():
 
 @pytest.fixture(scope="module")
 def least(gait):
-    return least_disturbance(WALKER, gait, directions=1440)
+    return least_disturbance(WALKER, gait, directions=360)
 
 
 def test_a_push_that_changes_the_speed_alone(gait, least):
@@ -65,6 +65,7 @@ def test_a_push_that_changes_the_speed_alone(gait, least):
     assert scaled.size == pytest.approx(found.size / abs(state[1]))
 
 
+@pytest.mark.slow
 def test_a_thin_finger_of_falls_is_met_at_another_slope():
     """Within 99.99 % of it every start is proved to walk for ever (docs/proofs.md, Theorem 2)."""
     found = least_disturbance(wj.SimplestWalker(slope=0.009))

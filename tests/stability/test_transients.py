@@ -98,7 +98,8 @@ def test_lives_that_follow_no_law_have_no_crisis(law):
         wj.crisis_law(values, lives, 0.01 * lives)
 
 
-def test_crisis_laws_are_found_again():
+def test_crisis_laws_are_found_again(monkeypatch):
+    monkeypatch.setattr("walker_jax.stability.escapes.RESAMPLES", 100)
     rng = np.random.default_rng(3)
     values = 1.0 + np.geomspace(1e-3, 1e-1, 12)
     lives = 5 * (values - 0.9995) ** -0.7

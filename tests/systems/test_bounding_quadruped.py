@@ -7,12 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import assert_gait, check_functions_of_modes, differences
+from modes_by_scipy import ModesByScipy
 from reference import read_values
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 
 BOUNDER = wj.systems.BoundingQuadruped()
+BY_SCIPY = ModesByScipy()
 STARTS = {
     (1.04, 0.7, 0.0): "flight, on rear, flight after rear, on front after rear, last flight",
     (1.03, -0.7, 0.01): "flight, on front, flight after front, on rear after front, last flight",
@@ -81,6 +83,18 @@ def stride_by_scipy(x, walker=BOUNDER):
             del feet[i]
 
 
+@pytest.mark.parametrize("start", [*STARTS, tuple(BOUND)])
+def test_its_modes_make_a_stride_in_any_order(start):
+    """And the bound returns to its start."""
+    made, time = BY_SCIPY.stride(BOUNDER, start)
+    state, expected = stride_by_scipy(start)
+    np.testing.assert_allclose(made, state, atol=5e-11)
+    assert time == pytest.approx(expected, abs=5e-11)
+    if start == tuple(BOUND):
+        np.testing.assert_allclose(made, BOUND, atol=1e-10)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("start", STARTS)
 def test_a_stride_in_any_order_is_that_of_another_integration(start):
     made = wj.stride(BOUNDER, start)
@@ -100,6 +114,7 @@ def test_modes_follow_the_order_of_footfalls():
         assert np.nanmax(times) == wj.stride(BOUNDER, start).time
 
 
+@pytest.mark.slow
 def test_the_bound_returns_and_is_stable():
     """Its multipliers are those of differences of strides."""
     stride = lambda many: wj.strides(BOUNDER, many).state
@@ -137,6 +152,7 @@ def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
     np.testing.assert_allclose(other.step_times, gait.step_times, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
     """All feet land at once and leave at once, and the pitch stays zero."""
     k, angle, energy = RUNS_AT.values()
@@ -213,11 +229,19 @@ def test_margins_have_the_signs_of_outcomes():
     assert (np.asarray(found.backward)[outcome == wj.Outcome.STRIDE] > 0).all()
 
 
-def test_wrong_uses_are_refused_and_low_starts_are_outside():
+def test_wrong_uses_are_refused():
     with pytest.raises(ValueError, match="stiffness must be finite and above 0, not -1"):
         wj.systems.BoundingQuadruped(stiffness=-1.0)
     with pytest.raises(ValueError, match="inertia must be finite and above 0, not 0"):
         wj.systems.BoundingQuadruped(inertia=0.0)
-    # at this pitch the front feet would be under the ground
-    assert wj.stride(BOUNDER, (1.0, 0.0, -0.3)).outcome == wj.Outcome.OUTSIDE
-    assert wj.explain(BOUNDER, (1.0, 0.0, -0.3)).complaints == ["the start is not feasible"]
+    assert not BOUNDER.feasible(jnp.array(LOW)) and BOUNDER.feasible(jnp.array(BOUND))
+
+
+LOW = (1.0, 0.0, -0.3)
+"""At this pitch the front feet would be under the ground."""
+
+
+@pytest.mark.slow
+def test_low_starts_are_outside():
+    assert wj.stride(BOUNDER, LOW).outcome == wj.Outcome.OUTSIDE
+    assert wj.explain(BOUNDER, LOW).complaints == ["the start is not feasible"]

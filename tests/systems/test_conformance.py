@@ -37,8 +37,8 @@ def check(name: str, i: int) -> None:
 
 
 def test_this_package_has_the_events_and_numbers():
-    """Of events that accumulate; others of the set are tested in hybrid/ too."""
-    check("two_tanks", 0)
+    """Of bounces; others of the set are tested in hybrid/ too."""
+    check("ball", 0)
 
 
 @pytest.mark.slow

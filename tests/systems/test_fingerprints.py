@@ -289,6 +289,15 @@ class Shifted(wj.SimplestWalker):
         return with_parameter(self, "slope", self.slope + extra())
 """
 
+HALVED = """
+
+class Halved(wj.System):
+    section = ("x",)
+
+    def advance(self, x):
+        return x / 2 + extra(), wj.Outcome.STRIDE, 1.0
+"""
+
 
 def test_a_function_reads_modules_as_they_are_at_that_moment():
     module: Any = ModuleType("constants_of_a_notebook")
@@ -419,9 +428,23 @@ def test_code_is_what_it_does_and_not_where_it_stands():
     assert len({*found}) == len(found)
 
 
-@pytest.mark.parametrize("kernels", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_a_walker_reads_what_is_there_at_that_moment(kernels, monkeypatch):
+def test_a_system_reads_what_is_there_at_that_moment():
     """As in a notebook, where a cell is run again, and the class is not."""
+    names: dict[str, Any] = {"__name__": "cells_of_a_notebook", "wj": wj}
+    exec(IN_A_NOTEBOOK + HALVED, names)
+    end = lambda: float(wj.strides(names["Halved"](), np.array([[1.0]])).state[0, 0])
+    assert end() == 0.5
+    names["EXTRA"] = 0.25
+    assert end() == 0.75
+    names["bounds"]["least"] = 0.125
+    assert end() == 0.875
+    names.update(EXTRA=0.0, bounds={"least": 0.0})
+    assert end() == 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_walker_reads_what_is_there_at_that_moment(kernels, monkeypatch):
     if not kernels:
         monkeypatch.setattr("walker_jax.kernels.program.Program.compiled", None)
     cells = {"__name__": "cells_of_a_notebook", "wj": wj, "with_parameter": with_parameter}
@@ -507,7 +530,8 @@ def test_functions_that_do_the_same_with_the_same_are_alike():
 
 
 @pytest.mark.parametrize(
-    "of", ["ground", "metric", pytest.param("indicator", marks=pytest.mark.slow)]
+    "of",
+    ["metric", *(pytest.param(one, marks=pytest.mark.slow) for one in ("ground", "indicator"))],
 )
 def test_functions_passed_in_are_what_they_are_at_that_moment(of):
     walker, gait, size = wj.SimplestWalker(0.009), wj.find_gait(wj.SimplestWalker(0.009)), 4e-4

@@ -93,6 +93,7 @@ def test_a_ball_on_a_table_has_derivatives_and_a_basin(table):
     assert data.attractor.sel(gap=2.63, rate=-2.78, method="nearest") == 0
 
 
+@pytest.mark.slow
 def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
     gait, relay = relay["gait"], relay["Relay"]()
     starts = np.linspace(-3, 0.985, 400)[:, None]  # no start chatters; at y = 0 it would rest
@@ -105,6 +106,7 @@ def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
     assert (data.fate == wj.Outcome.STRIDE).all()
 
 
+@pytest.mark.slow
 def test_a_crossed_switch_is_that_of_another_integration(relay):
     relay, y = relay["Relay"](), -1.5
 

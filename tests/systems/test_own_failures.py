@@ -118,6 +118,10 @@ def test_a_mode_that_is_not_the_last_is_judged_at_its_end():
     np.testing.assert_allclose(found.own, [0.5, -0.5, -0.2, -1.0, -0.5, -0.2], atol=1e-12)
     # what is not a number decides nothing
     assert wj.stride(Relay(), jnp.array([0.5, -5.0])).outcome == wj.Outcome.UNDECIDED
+
+
+@pytest.mark.slow
+def test_an_explanation_tells_conditions_of_one_failure_apart():
     said = str(wj.explain(Relay(), jnp.array([0.5, 1.7])))
     assert "from (0.5, 1.7): lost\n" in said and "mode rest" not in said
     assert "condition lost at the end: 0.3 at least\n" in said
@@ -291,7 +295,6 @@ def test_as_many_as_there_are_numbers_have_their_names():
     assert len(names) == 20 and many.failure("sticks") == OUTCOMES - 1 == 31
     made = wj.strides(many, np.array([[0.4, 0.0], [2.1, 0.0]]))
     assert made.outcome.tolist() == [31, 30]
-    assert wj.explain(many, jnp.array([0.4, 0.0])).name == "sticks"
     with pytest.raises(ValueError, match="failures of Many must be 20 different words at most"):
         make((*names, "one_more"))
 
@@ -350,13 +353,13 @@ def test_a_guard_on_the_switch_to_its_mode_does_not_end_it():
     fails = ThereAndBack().failure("beyond")
     for jump, outcome in ((1e-9, fails), (-1e-9, wj.Outcome.STRIDE)):
         assert (wj.strides(ThereAndBack(jump=jump), xs[::9]).outcome == outcome).all()
-    single = wj.strides(ThereAndBack(), xs.astype(np.float32))
-    assert (single.outcome == wj.Outcome.STRIDE).all()
 
 
 @pytest.mark.slow
-def test_nor_does_it_by_xla_or_in_an_explanation():
+def test_nor_does_it_in_float32_by_xla_or_in_an_explanation():
     xs = np.linspace(-0.6, 0.1, 20)[:, None]
+    single = wj.strides(ThereAndBack(), xs.astype(np.float32))
+    assert (single.outcome == wj.Outcome.STRIDE).all()
     by_xla = jax.jit(jax.vmap(partial(wj.stride, ThereAndBack())))(xs)
     assert (by_xla.outcome == wj.Outcome.STRIDE).all()
     assert wj.explain(ThereAndBack(), xs[3]).name == "STRIDE"

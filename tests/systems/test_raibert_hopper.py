@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import assert_gait, differences, newton
+from modes_by_scipy import ModesByScipy
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -15,6 +16,7 @@ from scipy.optimize import brentq
 import walker_jax as wj
 
 HOPPER = wj.systems.RaibertHopper()
+BY_SCIPY = ModesByScipy()
 NAMES = (
     "stiffness",
     "damping",
@@ -73,10 +75,19 @@ def stride_by_scipy(x, hopper=HOPPER):
     return np.array([y[0] * np.cos(y[1]) + up**2 / 2, forward]), time + up, y[5]
 
 
-@pytest.mark.parametrize(
-    ("hopper", "start"),
-    [(HOPPER, (1.4, 0.6)), (HOPPER, (1.2, -0.3)), (HOPPER, (2.0, 0.1)), (SLOW, (1.3, 0.4))],
-)
+HOPS = (HOPPER, (1.4, 0.6)), (HOPPER, (1.2, -0.3)), (HOPPER, (2.0, 0.1)), (SLOW, (1.3, 0.4))
+
+
+@pytest.mark.parametrize(("hopper", "start"), HOPS)
+def test_its_modes_make_the_stride_of_other_equations(hopper, start):
+    made, time = BY_SCIPY.stride(hopper, start)
+    state, expected, _ = stride_by_scipy(start, hopper)
+    np.testing.assert_allclose(made, state, atol=2e-11)
+    assert time == pytest.approx(expected, abs=2e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hopper", "start"), HOPS)
 def test_a_stride_is_that_of_another_integration(hopper, start):
     made = wj.stride(hopper, start)
     state, time, _ = stride_by_scipy(start, hopper)
@@ -126,11 +137,12 @@ def test_without_damping_a_hop_gains_the_work_of_the_motor():
     hopper = wj.systems.RaibertHopper(damping=0.0)
     apex, speed = start = (1.3, 0.4)
     *_, work = stride_by_scipy(start, hopper)
-    after, forward = wj.stride(hopper, start).state
+    (after, forward), _ = BY_SCIPY.stride(hopper, start)
     assert work > 0.05
     assert after + forward**2 / 2 - apex - speed**2 / 2 == pytest.approx(work, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_hopping_is_stable():
     """By differences of strides."""
     states, multipliers = newton(HOPPER, GUESS, step=1e-3)
@@ -161,15 +173,28 @@ def test_derivatives_by_parameters_are_those_of_differences():
 
 
 def test_a_hopper_that_stays_on_the_ground_has_stopped():
+    assert BY_SCIPY.stride(WEAK, (1.001, 0.0))[0] == "STOPPED"
+
+
+@pytest.mark.slow
+def test_such_a_stride_has_the_outcome_stopped():
     made = wj.stride(WEAK, (1.001, 0.0))
     assert made.outcome == wj.Outcome.STOPPED and np.isnan(made.state).all()
 
 
-def test_wrong_uses_are_refused_and_low_starts_are_outside():
+OUTSIDE = np.array([[0.9, 0.6], [1.4, 4.0], [np.nan, 0.6]])
+"""Lower than a leg in front of it lands, faster than a leg of length 1 can step, and no start."""
+
+
+def test_wrong_uses_are_refused():
     with pytest.raises(ValueError, match="thrust_rate must be finite and above 0, not 0"):
         wj.systems.RaibertHopper(thrust_rate=0.0)
     with pytest.raises(ValueError, match="damping must be finite and not negative, not -1"):
         wj.systems.RaibertHopper(damping=-1.0)
-    # lower than a leg in front of it lands, and faster than a leg of length 1 can step
-    starts = np.array([[0.9, 0.6], [1.4, 4.0], [np.nan, 0.6]])
-    assert wj.strides(HOPPER, starts).outcome.tolist() == [wj.Outcome.OUTSIDE] * 3
+    assert not any(HOPPER.feasible(jnp.array(one)) for one in OUTSIDE)
+    assert HOPPER.feasible(jnp.array(GUESS))
+
+
+@pytest.mark.slow
+def test_low_and_fast_starts_are_outside():
+    assert wj.strides(HOPPER, OUTSIDE).outcome.tolist() == [wj.Outcome.OUTSIDE] * 3

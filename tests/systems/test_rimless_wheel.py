@@ -2,6 +2,7 @@
 DOP853."""
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from by_differences import assert_gait, differences, stacked
+from by_differences import assert_gait, differences, newton, stacked
 from cells_of_basins import check_cells
 from scipy.integrate import solve_ivp
 
@@ -116,6 +117,14 @@ def gait_of(wheel):
 # Gaits
 
 
+def test_a_gait_by_differences_is_that_of_the_reference():
+    states, multipliers = newton(LEVEL, [-0.44, 0.61, 0.34], step=2e-3)
+    np.testing.assert_allclose(states, LEVEL_GAIT, rtol=0, atol=1e-11)
+    gait = SimpleNamespace(states=states, multipliers=multipliers)
+    assert_gait(gait, lambda x: reference(LEVEL, x)[0], 2e-3, 1e-9)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("wheel", WHEELS.values(), ids=WHEELS)
 def test_gaits_are_those_of_the_reference(wheel):
     gait = gait_of(wheel)
@@ -125,10 +134,13 @@ def test_gaits_are_those_of_the_reference(wheel):
     assert_gait(gait, lambda x: reference(wheel, x)[0], 2e-3, 1e-9)
 
 
+LEVEL_GAIT = [[-0.444569120151, 0.608648375889, 0.336953860588]]
+
+
+@pytest.mark.slow
 def test_the_gait_on_level_ground_is_one_with_these_numbers():
     (gait,) = wj.find_gaits(LEVEL)
-    known = [[-0.444569120151, 0.608648375889, 0.336953860588]]
-    np.testing.assert_allclose(gait.states, known, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(gait.states, LEVEL_GAIT, rtol=0, atol=1e-11)
     known = [0.643845112371, -0.392150400913, -0.271893040444]
     np.testing.assert_allclose(gait.multipliers, known, rtol=0, atol=1e-10)
 

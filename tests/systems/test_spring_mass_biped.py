@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import check_functions_of_modes
+from modes_by_scipy import ModesByScipy
 from reference import read_values
 from scipy.integrate import solve_ivp
 
@@ -63,16 +64,26 @@ def stride_by_scipy(walker, height, climb):
             return np.array([y[1], y[3]]), time
 
 
-@pytest.mark.parametrize(
-    ("walker", "start"),
-    [
-        (WALKER, (0.97, 0.0)),
-        (WALKER, (0.98, 0.02)),
-        (FASTER, WALKED),
-        (FASTER, FLOWN),
-        (wj.systems.SpringMassBiped(**RUNS_AT), (0.9, 0.01)),
-    ],
-)
+STRIDES = [
+    (WALKER, (0.97, 0.0)),
+    (WALKER, (0.98, 0.02)),
+    (FASTER, WALKED),
+    (FASTER, FLOWN),
+    (wj.systems.SpringMassBiped(**RUNS_AT), (0.9, 0.01)),
+]
+BY_SCIPY = ModesByScipy()
+
+
+@pytest.mark.parametrize(("walker", "start"), STRIDES)
+def test_its_modes_make_the_stride_of_other_equations(walker, start):
+    made, time = BY_SCIPY.stride(walker, start)
+    state, expected = stride_by_scipy(walker, *start)
+    np.testing.assert_allclose(made, state, atol=2e-11)
+    assert time == pytest.approx(expected, abs=2e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("walker", "start"), STRIDES)
 def test_a_stride_is_that_of_another_integration(walker, start):
     made = wj.stride(walker, start)
     state, time = stride_by_scipy(walker, *start)
@@ -91,6 +102,7 @@ def test_modes_are_skipped_as_the_legs_land_and_leave():
     assert np.nanmax(times) == wj.stride(FASTER, FLOWN).time
 
 
+@pytest.mark.slow
 def test_walking_is_stable_and_symmetric():
     """A stable symmetric gait is published at these values of energy, stiffness and angle."""
     gaits = wj.find_gaits(WALKER)
@@ -101,6 +113,7 @@ def test_walking_is_stable_and_symmetric():
     assert np.real(other.multipliers).max() > 1
 
 
+@pytest.mark.slow
 def test_running_is_that_of_one_leg():
     runs = wj.find_gaits(wj.systems.SpringMassBiped(**RUNS_AT))
     apexes = np.array([[one["apex"]] for one in RUNS])

@@ -34,7 +34,7 @@ def time_of_cycle(values):
     return wj.stride(wj.systems.StickSlip(*values), top[None]).time
 
 
-@pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("jacobian", [pytest.param(jax.jacfwd, marks=pytest.mark.slow), jax.jacrev])
 def test_derivatives_pass_modes_that_are_entered_again(jacobian):
     expected = jax.jacfwd(lambda p: period(*p))(VALUES)
     np.testing.assert_allclose(jacobian(time_of_cycle)(VALUES), expected, rtol=1e-12)

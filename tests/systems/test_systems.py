@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_differences import differences
 from henon import as_map
+from modes_by_scipy import ModesByScipy
 from reference import read_values
 from scipy.integrate import solve_ivp
 from scipy.optimize import root, root_scalar
@@ -210,7 +212,11 @@ def test_the_ball_that_keeps_step_with_the_table(orbit):
     ("system", "axes"),
     [
         (wj.systems.BouncingBall(), {"angle": (0.4, 1.2, 8), "velocity": (2.8, 3.4, 8)}),
-        (wj.systems.ImpactOscillator(), {"angle": (2.4, 3.1, 8), "v": (-1, -0.1, 8)}),
+        pytest.param(
+            wj.systems.ImpactOscillator(),
+            {"angle": (2.4, 3.1, 8), "v": (-1, -0.1, 8)},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=lambda one: type(one).__name__,
 )
@@ -284,6 +290,18 @@ RUNNERS = [
 
 
 @pytest.mark.parametrize("number", [0, 1])
+def test_modes_of_the_spring_mass_runner_return_to_its_runs(number):
+    by_scipy, runner = ModesByScipy(), RUNNERS[number]
+    strides = lambda many: np.stack([by_scipy.stride(runner, x)[0] for x in many])
+    for point in REFERENCE["slip"]["sets"][number]["fixed_points"]:
+        x = np.array([point["apex"]])
+        np.testing.assert_allclose(strides(x[None])[0], x, rtol=0, atol=1e-11)
+        slope = differences(strides, x, np.full(1, 1e-3))[0, 0]
+        assert slope == pytest.approx(point["multiplier"], abs=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1])
 def test_runs_of_the_spring_mass_runner(number):
     runner, expected = RUNNERS[number], REFERENCE["slip"]["sets"][number]
     gaits = wj.find_gaits(runner)
@@ -296,18 +314,23 @@ def test_runs_of_the_spring_mass_runner(number):
 def test_the_basin_of_a_run_ends_at_its_unstable_companion():
     runner, expected = RUNNERS[0], REFERENCE["slip"]["sets"][0]
     low, high = expected["basin"]
-    edge = wj.edge_state(runner, np.array([1.0]), np.array([1.4]))
-    assert edge.kind == "saddle"
-    assert edge.saddle is not None and edge.saddle.states[0, 0] == pytest.approx(high, abs=1e-11)
-    nearest = wj.least_disturbance(runner, wj.find_gait(runner))
-    assert nearest.state[0] == pytest.approx(low, abs=1e-9)
-    assert nearest.failure == wj.Outcome.OUTSIDE
     data = wj.basin(runner, wj.Grid.plain(apex=(0.9, 2.3, 140)), "direct", strides=500)
     apex = data.apex.values
     np.testing.assert_array_equal(data.attractor.values == 0, (apex > low) & (apex < high))
     outcomes = wj.strides(runner, np.array([[0.92], [1.0], [1.5], [1.9], [2.274]])).outcome
     expected_outcomes = [wj.Outcome.OUTSIDE, 0, 0, wj.Outcome.BACKWARD, wj.Outcome.STOPPED]
     assert outcomes.tolist() == expected_outcomes
+
+
+@pytest.mark.slow
+def test_the_ends_of_the_basin_of_a_run_are_found_one_by_one():
+    runner, (low, high) = RUNNERS[0], REFERENCE["slip"]["sets"][0]["basin"]
+    edge = wj.edge_state(runner, np.array([1.0]), np.array([1.4]))
+    assert edge.kind == "saddle"
+    assert edge.saddle is not None and edge.saddle.states[0, 0] == pytest.approx(high, abs=1e-11)
+    nearest = wj.least_disturbance(runner, wj.find_gait(runner))
+    assert nearest.state[0] == pytest.approx(low, abs=1e-9)
+    assert nearest.failure == wj.Outcome.OUTSIDE
 
 
 def test_a_leg_that_is_retracted_lands_later_and_steeper():
@@ -396,14 +419,19 @@ def test_a_state_may_hold_scalars_and_arrays_of_any_shape():
     end, slope = jax.jvp(lambda rate: wj.stride(Decay(rate), start), (1.0,), (1.0,))
     np.testing.assert_allclose(end.state, start / np.e, rtol=1e-12)
     np.testing.assert_allclose(slope.state, -start / np.e, rtol=1e-12)
-    other = wj.stride(Decay(), start, solver=diffrax.Tsit5(), tolerance=1e-12)
-    np.testing.assert_allclose(other.state, start / np.e, rtol=1e-10)
     found = wj.margins(Decay(), start)
     assert found.forward == pytest.approx(9 - 1.5) and found.running == pytest.approx(5 - 1.5)
     states = wj.trajectory(Decay(), start, jnp.array([0.0, 0.5]))
     np.testing.assert_allclose(states["table"][1], np.exp(-0.5) * states["table"][0], rtol=1e-12)
-    assert "guard 1 (section) rose at 1\n" in str(wj.explain(Decay(), start))
     assert wj.find_gait(Decay(), [0.1, 0.1]).states == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.slow
+def test_by_another_solver_and_in_an_explanation_too():
+    start = jnp.array([1.0, 0.5])
+    other = wj.stride(Decay(), start, solver=diffrax.Tsit5(), tolerance=1e-12)
+    np.testing.assert_allclose(other.state, start / np.e, rtol=1e-10)
+    assert "guard 1 (section) rose at 1\n" in str(wj.explain(Decay(), start))
 
 
 def test_guards_that_turn_faster_than_the_motion_are_not_missed():

@@ -107,7 +107,7 @@ def continue_event(
             f"bounds must hold the event, at {names[0]} {values[0]:g} and {names[1]} {values[1]:g}"
         )
     (curve,) = continue_events(system, [(values, event)], names, ranges, tolerance=tolerance)
-    if curve is None or np.abs((curve.values - values) / ranges.widths).max(axis=1).min() > 1e-6:
+    if curve is None:
         raise WrongUse(
             f"event must be one of this system, at {names[0]} {values[0]:g} and {names[1]} "
             f"{values[1]:g}: continue_gait locates them"
@@ -148,7 +148,7 @@ def continue_events(
 ) -> list[EventCurve | None]:
     """Follow the curves of many bifurcations, each at values of both parameters, all at once.
 
-    A curve is None where there is no such bifurcation.
+    A curve is None where there is no such bifurcation: none at all, or one at other values.
     """
     integrator = Integrator(float64_tolerance(tolerance)).in_dtype(float)
     compute = partial(compute_responses, system, names, integrator)
@@ -157,7 +157,12 @@ def continue_events(
         for values, one in events
     ]
     first = run_batched(starts, compute)
-    known = [i for i, point in enumerate(first) if point is not None]
+    off = lambda point, values: np.abs((point.unknowns.values - values) / ranges.widths).max()
+    known = [
+        i
+        for i, (point, (values, _)) in enumerate(zip(first, events, strict=True))
+        if point is not None and off(point, values) < 1e-6
+    ]
     tasks = [
         follow_event(events[i][1].kind, first[i], sign, ranges)
         for i in known

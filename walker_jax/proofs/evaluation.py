@@ -93,9 +93,14 @@ def check_numbers(jaxpr) -> None:
 
 def is_own_sincos(equation) -> bool:
     """Return whether a call is to the package's sine and cosine, not to a namesake."""
-    return equation.params.get("name") == "sincos" and (
-        str(equation.params["jaxpr"]) == own_sincos()
-    )
+    called = equation.params.get("jaxpr")
+    return equation.params.get("name") == "sincos" and text_of(called) == own_sincos()
+
+
+@cache
+def text_of(jaxpr) -> str:
+    """Return a jaxpr as text, made once: to write one takes longer than to enclose its results."""
+    return str(jaxpr)
 
 
 @cache

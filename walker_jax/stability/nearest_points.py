@@ -94,7 +94,7 @@ def solve_nearest(
             break
         across = tangents(best.ray)
         step = np.linalg.solve(jacobian, across @ miss) @ across
-        step *= min(1.0, LARGEST_STEP / np.linalg.norm(step))
+        step *= LARGEST_STEP / max(LARGEST_STEP, np.linalg.norm(step))
         tried = best.ray + SHARES[:, None] * step
         tried /= np.linalg.norm(tried, axis=1, keepdims=True)
         lengths, misses = misalignment(fails, gradient, tried, best.length)
