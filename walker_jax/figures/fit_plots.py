@@ -1,6 +1,6 @@
 """Fits to recordings: samples with residuals, correlations of parameters, bands of basins."""
 
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
@@ -11,16 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import (
-    DrawnAxes,
-    Style,
-    axes_for,
-    cell_edges,
-    figure_of,
-    finish,
-    new_figure,
-)
-from walker_jax.figures.regions import show_image
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_panels
+from walker_jax.figures.regions import cell_edges, show_image
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.figures.text import walker_title
 from walker_jax.grids import Grid
@@ -33,8 +25,7 @@ LEVELS = 0.025, 0.5, 0.975
 
 def fit(data: xr.Dataset) -> Figure:
     """Draw what `walker_jax.fit` returns: `fitted_samples`, and `fit_residuals` beside it."""
-    figure = new_figure(12, 5)
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = new_panels(12, 5, 1, 2)
     fitted_samples(data, left)
     fit_residuals(data, right)
     return figure
@@ -89,13 +80,13 @@ def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[S
         correlations = covariance / np.outer(errors, errors)
     image = ax.imshow(correlations, cmap="RdBu", vmin=-1, vmax=1)
     for (i, j), value in np.ndenumerate(correlations) if style.get("labels", True) else ():
-        look: Any = {"ha": "center", "va": "center", "color": "white" if abs(value) > 0.6 else INK}
-        ax.text(j, i, f"{value:.2f}", **look)
+        colour = "white" if abs(value) > 0.6 else INK
+        ax.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour)
     ax.set_xticks(range(len(names)), names)
     ax.set_yticks(range(len(names)), names)
-    bar = figure_of(ax).colorbar(image, ax=ax, label="correlation")
     note, both = f"errors from {data.sizes['step']} steps", "parameter"
-    return finish(ax, style, walker_title(data), note, x=both, y=both, beside=[bar.ax])
+    bar = image, "correlation"
+    return finish(ax, style, walker_title(data), note, x=both, y=both, bar=bar)
 
 
 def basin_band(
@@ -118,7 +109,7 @@ def basin_band(
     if shares.ndim != 3 or shares.shape[1:] != tuple(grid.shape) or not len(shares):
         raise WrongUse(f"draws must be of shape (draws, {grid.shape}), not {shares.shape}")
     mean = shares.mean(axis=0)
-    x, y = (np.asarray(values) for values in grid.axes.values())
+    x, y = map(np.asarray, grid.axes.values())
     shown, extent = np.where(mean > 0, mean, np.nan), (*cell_edges(x), *cell_edges(y))
     show_image(ax, shown, extent, cmap="Blues", vmin=0, vmax=1.4)
     for level, color in zip(LEVELS, (OTHERS, INK, OTHERS), strict=True):

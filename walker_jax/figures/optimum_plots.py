@@ -17,7 +17,6 @@ from walker_jax.figures import layout, regions, text
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of
 
 STAGES = (
     ("#a9bfe3", 8.5, "long steps"),
@@ -62,8 +61,8 @@ def optimisation(
 def basins_before_and_after(data: xr.Dataset) -> Figure:
     """Draw the basins before and after `walker_jax.optimise`, with colours as in `basin`."""
     check_optimum(data)
-    figure = layout.new_figure(11, 5.2)
-    draw_basins([*figure.subplots(1, 2)], data)
+    figure, panels = layout.new_panels(11, 5.2, 1, 2)
+    draw_basins(panels, data)
     layout.figure_title(figure, text.walker_title(fixed_attributes(data)))
     return figure
 
@@ -174,8 +173,8 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         )
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
-    found = regions.with_one_basin(fate, fate == ATTRACTED, failures_of(data))
-    images, extent = regions.paint(found, fate.shape), regions.extent_of(data, x, y)
+    found, images = regions.paint_one_basin(data, fate, fate == ATTRACTED)
+    extent = regions.extent_of(data["fate_start"])
     names = results.free_parameters(data)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
         regions.show_image(ax, image, extent)
