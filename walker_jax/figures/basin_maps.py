@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from walker_jax.basins.cell_classes import along_axis
 from walker_jax.checks import WrongUse
 from walker_jax.figures import layout, regions, text
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_panels
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, new_panels
 from walker_jax.figures.style import INK, TITLE
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
@@ -29,9 +29,8 @@ def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     room, and in the legend otherwise, with the number of its cells. Dots are the attractors of the
     large basins.
     """
-    check_dataset(data, "basin")
+    ax = begin(ax, style, data, "basin")
     check_plane(data["fate"])
-    ax = axes_for(ax, style)
     large, axes = regions.largest(data), regions.axes_of(data)
     found, extent = regions.draw_regions(ax, data, large)
     free, share, patches = np.ones(data["fate"].shape, bool), share_drawn(data), []

@@ -8,11 +8,10 @@ from matplotlib.axes import Axes
 
 from walker_jax.figures import regions
 from walker_jax.figures.basin_maps import check_plane
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.stability.boundaries import region_name
-from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import outcome_in_words
 
 CURVES = ("#e4572e", "#17a398", "#f2c14e")
@@ -37,9 +36,8 @@ def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -
 
     Curves are the stable manifolds of the saddles.
     """
-    check_dataset(data, "boundary")
+    ax = begin(ax, style, data, "boundary", 7, 6.2)
     check_plane(data["fate"])
-    ax = axes_for(ax, style, 7, 6.2)
     (x, y), (found, _) = regions.axes_of(data), regions.draw_regions(ax, data)
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.checks import WrongUse
 from walker_jax.figures import layout
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, write_beside
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, write_beside
 from walker_jax.figures.style import BASINS, DASHED, INK, LEVEL, SMALL, SOLID, period_style
 from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.gaits import curves
@@ -55,8 +55,7 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     subcritical ones. Squares are Neimark-Sacker points, filled where they are supercritical. At the
     right are the step times of the gaits of period one at the end of the range.
     """
-    check_dataset(data, "gait branches")
-    ax = axes_for(ax, style, 7, 5.6)
+    ax = begin(ax, style, data, "gait branches", 7, 5.6)
     drawn = curves.read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
@@ -103,8 +102,7 @@ def largest_multiplier(
     the gaits of period two that branch off it, and so on. A gait is stable, and its line solid,
     where the modulus is below one.
     """
-    check_dataset(data, "gait branches")
-    ax = axes_for(ax, style, 7, 4.6)
+    ax = begin(ax, style, data, "gait branches", 7, 4.6)
     ax.axhline(1, **LEVEL)
     family = curves.cascade_curves(data)
     for curve in family:
@@ -137,8 +135,7 @@ def bifurcation_diagram(
     period doublings starts. A vertical line marks the middle of the interval in which walking is
     lost.
     """
-    check_dataset(data, "bifurcation diagram")
-    ax = axes_for(ax, style, 7, 5)
+    ax = begin(ax, style, data, "bifurcation diagram", 7, 5)
     value, state = curves.attractor_states(data)
     gaps = np.diff(np.unique(data["sample_value"].values))
     size = np.clip(DOTS * gaps.max() / gaps.sum(), 1, 3) if len(gaps) else 3
@@ -164,10 +161,9 @@ def lyapunov_exponents(
     Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
     above zero. Nothing is drawn where no walker walks.
     """
-    check_dataset(data, "bifurcation diagram")
+    ax = begin(ax, style, data, "bifurcation diagram", 7, 4.6)
     if "exponents" not in data:
         raise WrongUse("data must have exponents: give bifurcation_diagram a number of strides")
-    ax = axes_for(ax, style, 7, 4.6)
     value = data["sample_value"].values
     found, errors = data["exponents"].values, data["exponent_errors"].values
     ax.axhline(0, **LEVEL)
@@ -232,9 +228,8 @@ def stability_and_area(
 
     **Returns** the axes of the multiplier, which share their place with those of the area.
     """
-    check_dataset(gaits, "gait branches")
+    ax = begin(ax, style, gaits, "gait branches", 8, 4.8)
     check_dataset(areas, "areas over slopes")
-    ax = axes_for(ax, style, 8, 4.8)
     ax.axhline(1, **LEVEL)
     slopes, known = areas["slope"].values, np.isfinite(areas["area"].values)
     for curve in curves.cascade_curves(gaits)[:1]:

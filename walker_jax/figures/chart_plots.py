@@ -11,12 +11,11 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from walker_jax.figures import regions
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, write_beside
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, write_beside
 from walker_jax.figures.style import INK, PERIODS, SIGNS, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
 from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
-from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, names_in
 
 TINTS = 0.05, 0.85, 0.825, 0.7, 0.65, 0.775, 0.55, 0.6
@@ -51,8 +50,7 @@ def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     the gait that bifurcates, and its line style the kind of bifurcation. Circles mark subcritical
     parts. Diamonds are points of codimension two.
     """
-    check_dataset(data, "chart")
-    ax = axes_for(ax, style, 7, 5.8)
+    ax = begin(ax, style, data, "chart", 7, 5.8)
     handles: list[Any] = [*draw_cells(ax, data), *draw_lines(ax, data)]
     special, middle = special_points(data), float(data["first"].mean())
     box = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8}

@@ -15,13 +15,12 @@ from matplotlib.ticker import MaxNLocator
 from walker_jax.basins.cell_classes import along_axis
 from walker_jax.checks import WrongUse, check_kind, numbers
 from walker_jax.figures import layout
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, widened
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, widened
 from walker_jax.figures.style import BASINS, INK, OTHERS, failure_words
 from walker_jax.figures.text import walker_title, with_error
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
 from walker_jax.stability.probable_falls import ProbableFall
-from walker_jax.storage.schema import check_dataset
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 
@@ -150,8 +149,7 @@ def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     as for basins; on rough ground the third direction is summed over. Colours show chance on a
     logarithmic scale.
     """
-    check_dataset(data, "metastable walking")
-    ax = axes_for(ax, style, 6.4, 5.2)
+    ax = begin(ax, style, data, "metastable walking", 6.4, 5.2)
     edges, chance = data["edges"].values, data["chance"].values
     seen = chance > FAINTEST * chance.max()
     shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5

@@ -11,12 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_panels
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, new_panels
 from walker_jax.figures.regions import cell_edges, show_image
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.figures.text import walker_title
 from walker_jax.grids import Grid
-from walker_jax.storage.schema import check_dataset
 
 SINCE = "time since heel strike"
 LEVELS = 0.025, 0.5, 0.975
@@ -33,8 +32,7 @@ def fit(data: xr.Dataset) -> Figure:
 
 def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw recorded and fitted coordinates over the time since heel strike, all steps in one."""
-    check_dataset(data, "fit")
-    ax = axes_for(ax, style, 6, 5)
+    ax = begin(ax, style, data, "fit", 6, 5)
     handles, after = draw_columns(ax, data, "recorded")
     for k in range(data.sizes["column"]):
         lines = ax.plot(after.T, data["fitted"].values[..., k].T, lw=0.6, color=INK)
@@ -45,8 +43,7 @@ def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Sty
 
 def fit_residuals(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw recorded less fitted coordinates, in standard deviations of their noise."""
-    check_dataset(data, "fit")
-    ax = axes_for(ax, style, 6, 5)
+    ax = begin(ax, style, data, "fit", 6, 5)
     handles, _ = draw_columns(ax, data, "residual")
     ax.axhline(0, lw=0.6, color=INK)
     squares, free = data.attrs["sum_of_squares"], data.attrs["degrees_of_freedom"]
@@ -72,8 +69,7 @@ def draw_columns(
 
 def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the correlations of the errors of fitted parameters."""
-    check_dataset(data, "fit")
-    ax = axes_for(ax, style, 5, 4.2)
+    ax = begin(ax, style, data, "fit", 5, 4.2)
     covariance, names = data["covariance"].values, list(data["parameter"].values)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):

@@ -9,6 +9,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float
 from matplotlib import rc_context
 from matplotlib.artist import Artist
@@ -25,6 +26,7 @@ from matplotlib.transforms import offset_copy
 from walker_jax.checks import WrongUse, check_number
 from walker_jax.figures.style import NOTE, SMALL, TITLE, points_of
 from walker_jax.figures.text import NO_BREAK, axis_label
+from walker_jax.storage.schema import check_dataset
 
 GAP = 7
 """Gap between the axes and the text above them (points)."""
@@ -135,6 +137,19 @@ def axes_for(
     """Return the given axes, or make those of a new figure, of a size in inches."""
     check_style(style)
     return cast(DrawnAxes, new_figure(width, height).add_subplot() if ax is None else ax)
+
+
+def begin(
+    ax: Axes | None,
+    style: Style,
+    data: xr.Dataset,
+    kind: str,
+    width: float | int = 7,
+    height: float | int = 5.4,
+) -> DrawnAxes:
+    """Check that the data of a picture are of a kind, and return its axes, as `axes_for`."""
+    check_dataset(data, kind)
+    return axes_for(ax, style, width, height)
 
 
 def check_style(style: Style) -> None:

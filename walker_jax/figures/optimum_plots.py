@@ -179,19 +179,15 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
         regions.show_image(ax, image, extent)
         values = text.parameter_values(dict(zip(names, data[side].values.tolist(), strict=True)))
-        title, note = f"{side.capitalize()}: {text.join_phrases(values)}", basin_note(data, side)
+        area, fixed = results.area_at(data, side), results.slice_coordinates(data)
+        words = [text.area_phrase(data, area)] if area is not None and area > 0 else []
+        words += [text.slice_phrase(fixed)] if fixed else []
+        title, note = f"{side.capitalize()}: {text.join_phrases(values)}", "; ".join(words)
         finish(ax, {}, title, note, x=x, y=y if side == "start" else "")
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)
     layout.figure_legend(panels, map(regions.patch_of, found))
-
-
-def basin_note(data: xr.Dataset, side: str) -> str:
-    """Return the area of a basin, if it is known, and its slice, if it is in one."""
-    area, fixed = results.area_at(data, side), results.slice_coordinates(data)
-    words = [text.area_phrase(data, area)] if area is not None and area > 0 else []
-    return "; ".join([*words, *([text.slice_phrase(fixed)] if fixed else [])])
 
 
 def headline(data: xr.Dataset) -> str:

@@ -7,10 +7,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, widened
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, widened
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
-from walker_jax.storage.schema import check_dataset
 
 FATES = {
     1: ("walks for ever", BASINS[0]),
@@ -27,8 +26,7 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
 
     Cells are proved to walk for ever, or to fall, or are open.
     """
-    check_dataset(data, "proof")
-    ax = axes_for(ax, style)
+    ax = begin(ax, style, data, "proof")
     low, high = data["lower"].values, data["upper"].values
     width = (high - low) / data["count"].values / 2.0 ** data["level"].values[:, None]
     corner = low + data["place"].values * width

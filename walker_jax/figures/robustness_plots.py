@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from walker_jax.checks import WrongUse
 from walker_jax.figures import layout, regions
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, write_beside
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, write_beside
 from walker_jax.figures.style import BASINS, INK, LEVEL, NOTE, failure_words
 from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, known_label, walker_title
 from walker_jax.stability import nearest_starts
@@ -47,10 +47,9 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
     returns from all starts inside the solid curve. If the nearest start converges to another
     attractor, the nearest one that falls is marked too: none inside the dashed curve falls.
     """
-    check_dataset(data, "robustness")
+    ax = begin(ax, style, data, "robustness", 5.4, 5.4)
     if not has_plane_disturbance(data):
         raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
-    ax = axes_for(ax, style, 5.4, 5.4)
     axes, starts = regions.axes_of(data), nearest_starts.nearest_starts(data)
     gait = data["gait_state"].values
     centres = [gait, *(one.state - one.size * one.direction for one in starts[1:])]

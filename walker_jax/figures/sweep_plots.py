@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.figures import layout, text
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.style import BASINS, INK, LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
@@ -25,8 +25,7 @@ def sweep(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
 
     Over one, with its error. Parameters after the second are at their first values.
     """
-    check_dataset(data, "sweep")
-    ax = axes_for(ax, style, 7, 4.8)
+    ax = begin(ax, style, data, "sweep", 7, 4.8)
     others = [str(name) for name in data["total_area"].dims[2:]]
     sizes = data[["total_area", "total_area_error"]].isel(dict.fromkeys(others, 0))
     sizes = sizes.sortby(list(sizes["total_area"].dims))  # values may come in any order

@@ -15,7 +15,7 @@ from walker_jax.basins.cell_classes import total_area
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.figures import regions
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import coordinate_value, count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
@@ -46,10 +46,9 @@ def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) 
     colour of the failure that no choice of actions prevents. Lines are the target's boundary and
     the bounds of the kernel.
     """
-    check_dataset(data, "viability")
+    ax = begin(ax, style, data, "viability")
     data, place = middle_plane(data)
     kernel, actions = data["viable"].values, data.sizes["action_number"]
-    ax = axes_for(ax, style)
     extent = regions.extent_of(data["viable"])
     failing = regions.with_failures([], data, data["failure"].values)
     image = regions.paint(failing, kernel.shape)
@@ -84,10 +83,9 @@ def capturability(
     - `basins`: up to three data sets of `walker_jax.basin` on the same grid, by name, such as those
       of walkers with feedback or with a `Policy`.
     """
-    check_dataset(data, "viability")
+    ax = begin(ax, style, data, "viability")
     plane, place = middle_plane(data)
     around = checked_basins(data, {} if basins is None else basins)
-    ax = axes_for(ax, style)
     extent, (x, y) = regions.extent_of(plane["viable"]), map(str, plane["viable"].dims)
     found = [
         regions.Region(cells, colour, "", words)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from walker_jax.figures import layout, regions
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.poses import GROUND, SWING
 from walker_jax.figures.style import INK, failure_words
 from walker_jax.figures.text import count_noun, walker_title
@@ -36,8 +36,7 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style])
 
     `data` is what `walker_jax.motion` returns.
     """
-    check_dataset(data, "walk")
-    ax = axes_for(ax, style, 9, 4.2)
+    ax = begin(ax, style, data, "walk", 9, 4.2)
     stride, time = data["stride"].values, data["time"].values
     theta, swing = data["theta"].values, (data["theta"] - data["phi"]).values
     legs = [("stance leg", theta, STANCE_LEG), ("swing leg", swing, SWING_LEG)]
