@@ -31,7 +31,8 @@ SIGNS = {
     "Neimark-Sacker": OPEN | {"marker": "s", "ms": 5},
     "supercritical Neimark-Sacker": FILLED | {"marker": "s", "ms": 5},
 }
-"""Signs of bifurcations. Points that are not known to be supercritical are open squares."""
+"""Signs of bifurcations; those of Neimark-Sacker points are open unless they are known to be
+supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 DOTS = 90
@@ -59,23 +60,23 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     drawn = curves.read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
-    folds = data["event_fold"].values
+    stable, folds = data["stable"].values, data["event_fold"].values
     subcritical = ~folds & (coefficients(data, "event") < 0)
-    closed, stable = coefficients(data, "torus") < 0, data["stable"].values
-    kinds = {"fold": folds, "period doubling": ~folds & ~subcritical}
-    kinds |= {"subcritical doubling": subcritical}
-    rings = {"Neimark-Sacker": ~closed, "supercritical Neimark-Sacker": closed}
-    draw_events(ax, data, "event", kinds)
-    draw_events(ax, data, "torus", rings)
+    supercritical = coefficients(data, "torus") < 0
+    events = {"fold": folds, "period doubling": ~folds & ~subcritical}
+    events["subcritical doubling"] = subcritical
+    tori = {"Neimark-Sacker": ~supercritical, "supercritical Neimark-Sacker": supercritical}
+    draw_events(ax, data, "event", events)
+    draw_events(ax, data, "torus", tori)
     looks = {"stable": (stable, SOLID), "unstable": (~stable, DASHED)}
-    looks |= {kind: (some, SIGNS[kind]) for kind, some in (kinds | rings).items()}
+    looks |= {kind: (some, SIGNS[kind]) for kind, some in (events | tori).items()}
     signs = [
         Line2D([], [], color=INK, label=kind, **look)
         for kind, (some, look) in looks.items()
         if some.any()
     ]
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
-    counts["Neimark-Sacker point"] = len(closed)
+    counts["Neimark-Sacker point"] = len(supercritical)
     set_range(ax, data)
     if style.get("labels", True):
         write_step_times(ax, data)

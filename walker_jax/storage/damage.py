@@ -78,12 +78,17 @@ def is_intact(chunk: bytes) -> bool:
     return end >= 0 and google_crc32c.value(chunk[:end]) == int.from_bytes(chunk[end:], "little")
 
 
+def chunk_path(array: Any, place: tuple[int, ...]) -> str:
+    """Return the path of a chunk of an array in its data set."""
+    return f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
+
+
 def check_chunks(path: Path, array: Any) -> None:
     """Raise `Damaged` if a chunk of an array is missing, or is not as it was written."""
     import numpy as np
 
     for place in np.ndindex(*array.cdata_shape):
-        key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
+        key = chunk_path(array, place)
         with name_damage(path, key, "is missing"):
             (path / key).stat()
         if not is_intact((path / key).read_bytes()):
@@ -119,7 +124,7 @@ def seal(path: Path, attributes: dict | None = None, without: Iterable[str] = ()
     known = group["attributes"] if attributes is None else attributes
     # As they will be read back.
     group["attributes"] = json.loads(json.dumps(known | {VERSION: SCHEMA_VERSION}))
-    sums = {"": hash_metadata(group, **{CHECKSUMS: sums})} | sums
+    sums = {"": hash_metadata(group, checksums=sums)} | sums
     open_group(path, "r+").attrs.put(group["attributes"] | {CHECKSUMS: json.dumps(sums)})
 
 
@@ -137,7 +142,7 @@ def check_metadata(path: Path) -> list[str]:
             raise Damaged(f"{path} {said}, and this package reads {SCHEMA_VERSION}")
         sums = json.loads(attributes[CHECKSUMS])
         own = sums.pop("")
-    if hash_metadata(found, **{CHECKSUMS: sums}) != own:
+    if hash_metadata(found, checksums=sums) != own:
         raise damaged(path, METADATA)
     for name, wanted in sums.items():
         with name_damage(path, f"{name}/{METADATA}"):

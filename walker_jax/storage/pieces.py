@@ -87,7 +87,7 @@ class Pieces(NamedTuple):
 
         def is_there(array: Any, piece: int) -> bool:
             try:
-                return damage.is_intact(self.chunk_file(array, piece).read_bytes())
+                return damage.is_intact((self.path / self.chunk_path(array, piece)).read_bytes())
             except OSError:
                 return False
 
@@ -101,15 +101,13 @@ class Pieces(NamedTuple):
     def read(self, name: str, piece: int) -> np.ndarray:
         """Read an array's part of a piece."""
         array = self.array(name)
-        chunk = self.chunk_file(array, piece).relative_to(self.path).as_posix()
-        with damage.name_damage(self.path, chunk):
+        with damage.name_damage(self.path, self.chunk_path(array, piece)):
             return np.asarray(array[self.at(piece)])
 
-    def chunk_file(self, array: Any, piece: int) -> Path:
-        """Return the file with an array's part of a piece."""
+    def chunk_path(self, array: Any, piece: int) -> str:
+        """Return the relative path of the file with an array's part of a piece."""
         place = self.place(piece)
-        chunk = *place, *[0] * (array.ndim - len(place))
-        return self.path / array.basename / array.metadata.encode_chunk_key(chunk)
+        return damage.chunk_path(array, (*place, *[0] * (array.ndim - len(place))))
 
     def write(self, piece: int, values: Mapping[str, Any], *, done: bool = False) -> None:
         """Write a piece's parts of some arrays; with `done`, the piece counts as written.
@@ -123,7 +121,7 @@ class Pieces(NamedTuple):
                 array = self.array(name)
                 shape = *(one.stop - one.start for one in at), *array.shape[len(at) :]
                 array[at] = np.reshape(values[name], shape) if name in values else array.fill_value
-                sync_to_disk(self.chunk_file(array, piece))
+                sync_to_disk(self.path / self.chunk_path(array, piece))
             if done:
                 self.array("written")[self.place(piece)] = 1
 
