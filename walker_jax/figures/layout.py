@@ -139,17 +139,10 @@ def axes_for(
     return cast(DrawnAxes, new_figure(width, height).add_subplot() if ax is None else ax)
 
 
-def begin(
-    ax: Axes | None,
-    style: Style,
-    data: xr.Dataset,
-    kind: str,
-    width: float | int = 7,
-    height: float | int = 5.4,
-) -> DrawnAxes:
+def begin(ax: Axes | None, style: Style, data: xr.Dataset, kind: str, *size: Any) -> DrawnAxes:
     """Check that the data of a picture are of a kind, and return its axes, as `axes_for`."""
     check_dataset(data, kind)
-    return axes_for(ax, style, width, height)
+    return axes_for(ax, style, *size)
 
 
 def check_style(style: Style) -> None:

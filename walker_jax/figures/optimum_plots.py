@@ -63,7 +63,7 @@ def basins_before_and_after(data: xr.Dataset) -> Figure:
     check_optimum(data)
     figure, panels = layout.new_panels(11, 5.2, 1, 2)
     draw_basins(panels, data)
-    layout.figure_title(figure, text.walker_title(fixed_attributes(data)))
+    layout.figure_title(figure, fixed_title(data))
     return figure
 
 
@@ -100,10 +100,11 @@ def check_optimum(data: xr.Dataset) -> None:
     check_dataset(data, "optimum")
 
 
-def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
-    """Return only the attributes of an optimisation, without the free parameters."""
+def fixed_title(data: xr.Dataset) -> str:
+    """Return the walker and its fixed parameters."""
     changed = {f"walker_{name}" for name in results.free_parameters(data)}
-    return xr.Dataset(attrs={key: data.attrs[key] for key in data.attrs if key not in changed})
+    fixed = {key: data.attrs[key] for key in data.attrs if key not in changed}
+    return text.walker_title(xr.Dataset(attrs=fixed))
 
 
 def draw_optimisation(
@@ -192,7 +193,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
 
 def headline(data: xr.Dataset) -> str:
     """Return the walker, its fixed parameters, and the objective."""
-    return f"{text.walker_title(fixed_attributes(data))}: {objective_words(data)}"
+    return f"{fixed_title(data)}: {objective_words(data)}"
 
 
 def objective_words(data: xr.Dataset) -> str:

@@ -151,11 +151,8 @@ def attractors(
     for number, marker in zip(large, style.MARKERS, strict=False):
         own = data.sel(number=number)
         cycle = own["states"].dropna("phase").values
-        yield (
-            place_states(data, cycle, axes),
-            marker,
-            attractor_name(data, int(own["period"]), cycle),
-        )
+        name = attractor_name(data, int(own["period"]), cycle)
+        yield place_states(data, cycle, axes), marker, name
 
 
 def attractor_name(data: xr.Dataset, period: int, cycle: Float[np.ndarray, "n section"]) -> str:
