@@ -61,17 +61,17 @@ class StoreDescriber(Describer):
         for one in self.bases:
             self.add_file_of(one)
 
-    def opens(self, definition: Any) -> bool:
-        return super().opens(definition) or definition in self.bases
+    def looks_into(self, definition: Any) -> bool:
+        return super().looks_into(definition) or definition in self.bases
 
-    def name(self, definition: Any) -> Hashable:
+    def name_definition(self, definition: Any) -> Hashable:
         self.add_file_of(definition)
         name = getattr(definition, "__qualname__", None)
         return name, getattr(home_of(definition), "__name__", None)
 
     def describe_code(self, function: FunctionType) -> Hashable:
         if self.add_file_of(function):  # where several functions may have one name
-            return self.name(function), hash_of_code(function.__code__)
+            return self.name_definition(function), hash_of_code(function.__code__)
         for name in names_used(function.__code__, "IMPORT_NAME"):
             for path in located(Path(), name.split(".")):
                 self.add_file(path.absolute(), Path.cwd())
@@ -80,15 +80,15 @@ class StoreDescriber(Describer):
     def describe_class(self, kind: type) -> Hashable:
         """Name a class of a file; describe a class that a function makes, which depends on more."""
         in_file = "<locals>" not in kind.__qualname__ and self.add_file_of(kind)
-        return self.name(kind) if in_file else super().describe_class(kind)
+        return self.name_definition(kind) if in_file else super().describe_class(kind)
 
-    def itself(self, value: Any) -> Hashable:
+    def identify(self, value: Any) -> Hashable:
         return token_of_process(), id(value)
 
     def add_file_of(self, definition: Any) -> bool:
         """Add the file of a definition that is described; return whether there is one."""
         home = home_of(definition)
-        path = file_of(home) if self.opens(definition) else None
+        path = file_of(home) if self.looks_into(definition) else None
         if home is not None and path is not None:
             self.add_file(path, root_of(home, path))
         return path is not None

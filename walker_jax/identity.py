@@ -3,7 +3,7 @@
 The parts are
 
 - of a function, its code, defaults and closure, and the globals it reads, in modules too;
-- of a class, its bases and attributes;
+- of a class, its bases and attributes, without what documents it, as of functions;
 - of containers, arrays and plain values, their contents;
 - of any other object, its type and all its state, as pickle takes it; without state, itself.
 
@@ -19,12 +19,12 @@ import contextlib
 import dis
 import functools
 import hashlib
+import inspect
 import re
 import sys
 import types
 from collections import OrderedDict
 from collections.abc import Hashable
-from contextvars import ContextVar
 from dataclasses import Field
 from typing import Any
 
@@ -104,18 +104,18 @@ class Describer:
 
     def describe(self, *values: Any) -> Description:
         """Describe values, and then every object that these refer to, once each."""
-        words = tuple(map(self.words, values))
+        words = tuple(map(self.refer_to, values))
         # The list grows meanwhile.
         return Description((words, *map(self.describe_found, self.found)))
 
-    def words(self, value: Any) -> Hashable:
+    def refer_to(self, value: Any) -> Hashable:
         """Return a hashable form of a plain value or array, or the number of a description."""
         if type(value) in PLAIN:
             return type(value).__name__, repr(value)
         if (values := values_in(value, LARGEST if self.here else sys.maxsize)) is not None:
             return values
         if type(value) is tuple:  # inline, as equal ones may be one object in another process
-            return "tuple", *map(self.words, value)
+            return "tuple", *map(self.refer_to, value)
         if id(value) not in self.numbers:
             self.numbers[id(value)] = len(self.found)
             self.found.append(value)
@@ -124,18 +124,18 @@ class Describer:
     def describe_found(self, value: Any) -> Hashable:
         kind = type(value)
         if kind is list:
-            return "list", *map(self.words, value)
+            return "list", *map(self.refer_to, value)
         if kind in (set, frozenset):
             in_order = sorted(value, key=lambda one: ADDRESS.sub("", repr(one)))
-            return "set", *map(self.words, in_order)
+            return "set", *map(self.refer_to, in_order)
         if kind in (dict, types.MappingProxyType):
-            return "dict", *((self.words(key), self.words(value[key])) for key in value)
+            return "dict", *((self.refer_to(key), self.refer_to(value[key])) for key in value)
         if isinstance(value, types.CellType):
             try:
                 inside = value.cell_contents
             except ValueError:  # the cell is empty
                 return ()
-            return self.words(inside)
+            return self.refer_to(inside)
         if isinstance(value, types.CodeType):
             return hash_of_code(value)
         if isinstance(value, types.FunctionType):
@@ -143,54 +143,59 @@ class Describer:
         if isinstance(value, type):
             return self.describe_class(value)
         if isinstance(value, types.ModuleType):
-            return self.name(value)
+            return self.name_definition(value)
         return self.describe_object(value)
 
     def describe_object(self, value: Any) -> Hashable:
         """Describe an object by its state; within a process, one without any stands for itself."""
         state = state_of(value)
         if isinstance(state, str):
-            return self.name(value), state
-        kind = self.words(type(value))
+            return self.name_definition(value), state
+        kind = self.refer_to(type(value))
         if state is None or (self.here and (isinstance(value, ALONE) or has_no_state(state))):
-            return kind, self.itself(value)
-        return kind, *map(self.words, state)
+            return kind, self.identify(value)
+        return kind, *map(self.refer_to, state)
 
     def describe_function(self, function: types.FunctionType) -> Hashable:
-        closure = self.words(function.__closure__)
+        closure = self.refer_to(function.__closure__)
         more = function.__defaults__, function.__kwdefaults__, vars(function) or None
-        if self.opens(function):
-            return self.describe_code(function), closure, *map(self.words, more)
+        if self.looks_into(function):
+            return self.describe_code(function), closure, *map(self.refer_to, more)
         code = function.__code__
-        names = self.name(function), code.co_qualname  # a wrapper has another's name
+        names = self.name_definition(function), code.co_qualname  # a wrapper has another's name
         made = "<" in code.co_qualname  # a lambda, or defined within a function
-        parts = (hash_of_code(code), *map(self.words, more[:2])) if made else ()
+        parts = (hash_of_code(code), *map(self.refer_to, more[:2])) if made else ()
         return names, closure, *parts
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
-        read = ((name, self.words(value)) for name, value in globals_of(function).items())
+        read = ((name, self.refer_to(value)) for name, value in self.globals_of(function).items())
         return hash_of_code(function.__code__), *read
 
-    def describe_class(self, kind: type) -> Hashable:
-        if not self.opens(kind):
-            return self.name(kind)
-        named = ((one, self.words(vars(kind)[one])) for one in sorted(vars(kind).keys() - DERIVED))
-        return self.name(kind), self.words(kind.__bases__), *named
+    def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
+        """Return the globals that a function reads, by their names, also as parts of modules."""
+        return globals_named(function, names_used(function.__code__, *READING), Cache)
 
-    def opens(self, definition: Any) -> bool:
+    def describe_class(self, kind: type) -> Hashable:
+        if not self.looks_into(kind):
+            return self.name_definition(kind)
+        own = vars(kind)
+        named = ((one, self.refer_to(own[one])) for one in sorted(own.keys() - DERIVED))
+        return self.name_definition(kind), self.refer_to(kind.__bases__), *named
+
+    def looks_into(self, definition: Any) -> bool:
         """Return whether a definition counts by more than its name."""
         return is_own(home_of(definition))
 
-    def name(self, definition: Any) -> Hashable:
+    def name_definition(self, definition: Any) -> Hashable:
         """Return the name by which a definition counts; within a process, the object itself."""
         return ComparedBy(definition, id(definition))  # kept, so that no other gets its number
 
-    def itself(self, value: Any) -> Hashable:
+    def identify(self, value: Any) -> Hashable:
         """Return the object, or any other that it is equal to, within a process."""
         with contextlib.suppress(Exception):  # a user's `__hash__` may raise
             hash(value)
             return value
-        return self.name(value)
+        return self.name_definition(value)
 
 
 def values_in(value: Any, largest: int) -> Hashable:
@@ -212,18 +217,16 @@ def hash_of_code(code: types.CodeType) -> str:
     """Hash what a code object does, wherever it stands in its file."""
     names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
-    constants = Describer().describe(code.co_consts)
+    constants = Describer().describe(code.co_consts[has_docstring(code) :])
     return sha256_of((code.co_code, code.co_exceptiontable, names, counts, constants))
 
 
-def globals_of(function: types.FunctionType) -> dict[str, Any]:
-    """Return the globals that a function reads, also as attributes of modules.
+def globals_named(function: types.FunctionType, read: list[str], left_out: Any) -> dict[str, Any]:
+    """Return the globals of these names, also as attributes of modules, without some types.
 
-    Left out are installed modules, which do not change, and what this package keeps in a `Cache`
-    or, for a call alone, in a `ContextVar`.
+    Left out are installed modules too, which do not change.
     """
-    found, own, inside = {}, is_own(home_of(function)), names_used(function.__code__)
-    read = names_used(function.__code__, *READING) if own else inside
+    found, inside = {}, names_used(function.__code__)
     spaces = [("", function.__globals__, read)]
     for place, space, names in spaces:
         for name, value in ((one, space[one]) for one in names if one in space):
@@ -231,9 +234,18 @@ def globals_of(function: types.FunctionType) -> dict[str, Any]:
                 changes = is_own(value) or top_of(value) == PACKAGE
                 if changes and all(vars(value) is not one for _, one, _ in spaces):
                     spaces.append((f"{place}{name}.", vars(value), inside))
-            elif not isinstance(value, Cache if own else Cache | ContextVar):
+            elif not isinstance(value, left_out):
                 found[f"{place}{name}"] = value
     return found
+
+
+def has_docstring(code: types.CodeType) -> bool:
+    """Return whether the first constant of a code object documents a function."""
+    if sys.version_info >= (3, 13):
+        return bool(code.co_flags & inspect.CO_HAS_DOCSTRING)
+    # Earlier, the first constant of any other function that has a name is None.
+    named = code.co_flags & inspect.CO_NEWLOCALS and not code.co_name.startswith("<")
+    return bool(named and code.co_consts and isinstance(code.co_consts[0], str))
 
 
 @functools.lru_cache(MOST)

@@ -140,7 +140,7 @@ def test_basins_before_and_after_have_the_colours_of_a_basin():
     start, best = figure.axes
     assert start.get_xlim() == best.get_xlim() == pytest.approx((0, 0.4))
     assert start.get_ylim() == best.get_ylim() == pytest.approx((-0.04, 0.01))
-    expected = {outcome: colour for outcome, (colour, *_) in style.FAILURES.items()}
+    expected = {outcome: colour for outcome, (colour, *_) in style.SIGNS.items()}
     expected |= {-1: style.BASINS[0], 0: style.UNMATCHED}
     for ax, name in ((start, "fate_start"), (best, "fate_optimum")):
         for fate in FATES.tolist():

@@ -6,7 +6,7 @@ import xarray as xr
 from walker_jax import Grid, Outcome
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
-from walker_jax.storage.schema import attributes_of_kind, variables_of_kind
+from walker_jax.storage.schema import KINDS
 
 SHEARED = Grid.sheared(theta=(0, 0.4, 80), sum=(-0.04, 0.01, 60))
 PLAIN = Grid.plain(theta=(0, 0.8, 80), thetadot=(-1.2, 0, 60))
@@ -16,12 +16,12 @@ def completed(data, kind, *parameters):
     """With zeros for what else a data set of a kind holds, which pictures do not read."""
     placeholders = {"*parameters": parameters, "?parameter": parameters, "*grid": ("theta", "sum")}
     types = {"integer": int, "real": float, "boolean": bool, "text": object}
-    for name, one in variables_of_kind(kind).items():
+    for name, one in KINDS[kind].variables.items():
         if name not in data and not one.when:
             dims = [own for dim in one.dims.split() for own in placeholders.get(dim, (dim,))]
             shape = [data.sizes.get(dim, 2) for dim in dims]
             data = data.assign({name: (dims, np.zeros(shape, types[one.type]))})
-    return data.assign_attrs(dict.fromkeys(attributes_of_kind(kind), "") | data.attrs)
+    return data.assign_attrs(dict.fromkeys(KINDS[kind].attributes, "") | data.attrs)
 
 
 def deep(data):

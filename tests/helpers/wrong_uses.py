@@ -34,7 +34,7 @@ from walker_jax.fitting.bounds import Bounds
 from walker_jax.fitting.results import Fit
 from walker_jax.integrators import integrator
 from walker_jax.stability import gait_robustness, stochastic_map
-from walker_jax.storage.schema import TYPES, attributes_of_kind, check_dataset, variables_of_kind
+from walker_jax.storage.schema import KINDS, TYPES, check_dataset
 from walker_jax.walkers import references
 from walker_jax.walking.scan import Walked
 
@@ -200,15 +200,15 @@ def zeros(kind: str, grid: str = "theta sum", size: int = 3) -> xr.Dataset:
     """A data set of a kind, over a grid of as many cells along each axis."""
     dims = {
         name: one.dims.replace("*grid", grid).replace("*parameters", "slope").split()
-        for name, one in variables_of_kind(kind).items()
+        for name, one in KINDS[kind].variables.items()
         if not one.when
     }
-    types = {name: TYPES[variables_of_kind(kind)[name].type][0] for name in dims}
+    types = {name: TYPES[KINDS[kind].variables[name].type][0] for name in dims}
     arrays = {
         name: (each, np.zeros((size,) * len(each), types[name] if types[name] != "U" else "U9"))
         for name, each in dims.items()
     }
-    data = xr.Dataset(arrays, attrs=dict.fromkeys(attributes_of_kind(kind), ""))
+    data = xr.Dataset(arrays, attrs=dict.fromkeys(KINDS[kind].attributes, ""))
     check_dataset(data, kind)
     return data
 

@@ -21,7 +21,7 @@ import walker_jax as wj
 from walker_jax import storage
 from walker_jax.paper import calculations, pictures, reproduction
 from walker_jax.paper.numbers import Number, compare_numbers, compare_printed
-from walker_jax.storage.schema import check_dataset, variables_of_kind
+from walker_jax.storage.schema import KINDS, check_dataset
 
 PAGE = Path(__file__).parents[2] / "docs" / "paper.md"
 TINY = calculations.Size(section=40, slopes=3, levels=None, strides=500, shifts=2)
@@ -231,7 +231,7 @@ def test_the_most_stable_gait_is_where_multipliers_meet():
 )
 def test_the_data_sets_are_of_the_kinds_that_pictures_draw(name, kind, data):
     check_dataset(data[name], kind)
-    assert set(map(str, data[name].data_vars)) <= {*variables_of_kind(kind)}
+    assert set(map(str, data[name].data_vars)) <= {*KINDS[kind].variables}
 
 
 def test_every_figure_is_drawn_of_the_data(data, report):

@@ -78,6 +78,6 @@ def test_another_benchmark_makes_its_pictures_out_of_date(pictures, monkeypatch,
 
 def test_other_words_above_pictures_make_all_out_of_date(pictures, monkeypatch, tmp_path):
     other = tmp_path / "text.py"
-    other.write_text(Path(text.__file__).read_text().replace('"slope (rad)"', '"slope"'))
+    other.write_text(Path(text.__file__).read_text().replace('"stance leg angle "', '"leg angle "'))
     monkeypatch.setattr(text, "__file__", str(other))
     assert pictures.out_of_date() == {one: ["look"] for one in pictures.every_picture()}

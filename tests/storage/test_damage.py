@@ -42,11 +42,11 @@ def example(kind: str) -> xr.Dataset:
     """A data set of a kind, with all variables that one may have."""
     random = np.random.default_rng(0)
     found: dict[str, Any] = {}
-    for name, one in schema.variables_of_kind(kind).items():
+    for name, one in schema.KINDS[kind].variables.items():
         dims = [part for dim in one.dims.split() for part in PLACEHOLDERS.get(dim, (dim,))]
         found[name] = dims, draw(random, one.type, tuple(SIZES.get(dim, 2) for dim in dims))
     axes: dict[str, Any] = {name: (name, np.linspace(0, 1, size)) for name, size in SIZES.items()}
-    attributes = {name: f"some {name}" for name in schema.attributes_of_kind(kind)}
+    attributes = {name: f"some {name}" for name in schema.KINDS[kind].attributes}
     return xr.Dataset(axes | found, attrs=attributes | {"slope": 0.1, "n": [1, 2.5]})
 
 
@@ -362,7 +362,8 @@ def tried(path: Path, name: str, wanted: xr.Dataset) -> str:
     try:
         found = resume(path)
     except Damaged as error:
-        assert f"{path} is damaged: {name} " in str(error), error
+        other_version = name == "zarr.json" and "and this package reads" in str(error)
+        assert f"{path} is damaged: {name} " in str(error) or other_version, error
         return "named"
     assert found is not None
     found.attrs = {key: found.attrs.get(key) for key in wanted.attrs}  # one may have another name

@@ -12,11 +12,11 @@ from walker_jax.checks import WrongUse
 from walker_jax.storage.schema import (
     COMMON,
     KINDS,
+    OWN,
+    TABLES,
     TYPES,
     Variable,
-    attributes_of_kind,
     check_dataset,
-    variables_of_kind,
 )
 
 PAGE = Path(__file__).parents[2] / "docs" / "data.md"
@@ -36,7 +36,8 @@ def tables() -> str:
     """The page's tables, as they follow from the code."""
     lines = []
     for name, kind in KINDS.items():
-        base = f" It has the variables of {link(kind.base)} too." * bool(kind.base)
+        base = TABLES["kind"][name].get("base", "")
+        base = f" It has the variables of {link(base)} too." * bool(base)
         lines += [f"{FIRST}{name.capitalize()}", "", f"{kind.about}{base}", ""]
         lines += ['<details markdown="1"><summary>Variables and attributes</summary>', ""]
         lines += [*own_variables(name), *shared_variables(name), *attributes(name)]
@@ -46,7 +47,7 @@ def tables() -> str:
 
 def own_variables(kind: str) -> list[str]:
     """The table of variables that no kind before this one describes."""
-    own = {name: one for name, one in KINDS[kind].variables.items() if not described(kind, name)}
+    own = {name: one for name, one in OWN[kind].items() if not described(kind, name)}
     rows = [
         f"| {', '.join(names)} | {' '.join(f'`{dim}`' for dim in own[name].dims.split())} | "
         f"{'; '.join(filter(None, (own[name].type, own[name].unit)))} | {own[name].about}"
@@ -61,14 +62,14 @@ def own_variables(kind: str) -> list[str]:
 def shared_variables(kind: str) -> list[str]:
     """The variables that another kind describes, by kind, added dimension and condition."""
     groups: dict[tuple[str, str], dict[str, Variable]] = {}
-    for name, one in KINDS[kind].variables.items():
+    for name, one in OWN[kind].items():
         if found := described(kind, name):
             other, added = found
-            when = one.when if one.when != KINDS[other].variables[name].when else ""
+            when = one.when if one.when != OWN[other][name].when else ""
             place = f", over `{added}` too" * bool(added) + f" ({when})" * bool(when)
             groups.setdefault((other, place), {})[name] = one
     lines = [
-        f"- As in {link(other)}{place}: {names_of(group, KINDS[other].variables)}"
+        f"- As in {link(other)}{place}: {names_of(group, OWN[other])}"
         for (other, place), group in groups.items()
     ]
     return [*lines, ""] if lines else []
@@ -105,13 +106,13 @@ def together(variables: dict[str, Variable]) -> dict[str, list[str]]:
 
 def described(kind: str, name: str) -> tuple[str, str] | None:
     """The kind before this one that describes a variable alike, and the dimension added here."""
-    mine = KINDS[kind].variables[name]
+    mine = OWN[kind][name]
     added, _, rest = mine.dims.partition(" ")
     first, mark, suffix = name.rpartition("_")
-    if first in KINDS[kind].variables and mine.about == SUFFIXES.get(mark + suffix):
+    if first in OWN[kind] and mine.about == SUFFIXES.get(mark + suffix):
         return described(kind, first)
     for other in [*KINDS][: [*KINDS].index(kind)]:
-        one = KINDS[other].variables.get(name)
+        one = OWN[other].get(name)
         if one and (one.unit, one.about) == (mine.unit, mine.about):
             if (one.dims, one.type, one.when) == (mine.dims, mine.type, mine.when):
                 return other, ""
@@ -122,10 +123,11 @@ def described(kind: str, name: str) -> tuple[str, str] | None:
 
 def attributes(kind: str) -> list[str]:
     """The table of attributes, but those that the page describes once for all kinds."""
-    own = KINDS[kind].attributes
+    named = TABLES["kind"][kind].get("attributes", {})
+    own = {name: KINDS[kind].attributes[name] for name in named}
     rows = [f"| `{name}` | {about} |" for name, about in own.items() if COMMON.get(name) != about]
     lines = ["| attribute | |", "|---|---|", *rows, ""] if rows else []
-    missing = [f"`{name}`" for name in COMMON if name not in attributes_of_kind(kind)]
+    missing = [f"`{name}`" for name in COMMON if name not in KINDS[kind].attributes]
     return [*lines, f"No attribute {' or '.join(missing)}.", ""] if missing else lines
 
 
@@ -142,7 +144,7 @@ def test_the_page_has_the_tables_of_the_code():
 
 def test_every_variable_has_a_type_and_a_meaning():
     for kind in KINDS:
-        for name, one in variables_of_kind(kind).items():
+        for name, one in KINDS[kind].variables.items():
             assert one.type in TYPES and one.about, (kind, name)
 
 
@@ -159,7 +161,7 @@ def data():
 def check_known(data: xr.Dataset, kind: str, *more: str) -> None:
     """A data set is of a kind, and has no variable of which its table does not know."""
     check_dataset(data, kind)
-    assert set(map(str, data.data_vars)) <= {*variables_of_kind(kind), *more}
+    assert set(map(str, data.data_vars)) <= {*KINDS[kind].variables, *more}
 
 
 def test_the_library_keeps_to_the_tables(data, tmp_path):
@@ -219,7 +221,7 @@ def test_one_dimension_is_not_two(data):
     table = xr.Dataset(
         {
             name: (["slope", *one.dims.split()[1:]], zeros(one))
-            for name, one in variables_of_kind("robustness table").items()
+            for name, one in KINDS["robustness table"].variables.items()
         },
         attrs={"walker": "SimplestWalker"},
     )

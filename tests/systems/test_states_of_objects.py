@@ -225,6 +225,22 @@ def test_a_program_is_traced_again_for_another_state():
     assert FunctionByCode(reads) == FunctionByCode(reads)
 
 
+@pytest.mark.parametrize("kind", ["def f", "class A"])
+def test_what_documents_code_does_not_count(kind):
+    """A string that a function returns does."""
+    head = f"{kind}():" if kind == "def f" else f"{kind}:"
+
+    def made(words, then="pass"):
+        names: dict = {"__name__": "made_up"}
+        exec(f"{head}\n  '{words}'\n  {then}", names)
+        return code_fingerprint(object, (names["f" if kind == "def f" else "A"],))
+
+    assert made("one") == made("another")
+    assert made("one", "f = lambda: 'one'") != made("one", "f = lambda: 'another'")
+    if kind == "def f":
+        assert made("one", "return 'one'") != made("one", "return 'another'")
+
+
 def test_tables_of_the_package_count_and_caches_do_not():
     def reading(value):
         code = compile("def f(): return table", "<made>", "exec").co_consts[0]

@@ -15,7 +15,7 @@ import walker_jax as wj
 from walker_jax import figures, multibody
 from walker_jax.kernels import kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
-from walker_jax.storage.schema import check_dataset, variables_of_kind
+from walker_jax.storage.schema import KINDS, check_dataset
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.spatial import all_coordinates, on_ground
 
@@ -331,7 +331,7 @@ def test_a_motion_stands_on_the_slope_and_is_filmed(tmp_path):
     """Legs keep their sizes; the disc that lands is the one that stands in the next stride."""
     data = wj.motion(WALKER, published(), 3, step=0.2)
     check_dataset(data, "walk in space")
-    assert set(data.data_vars) == set(variables_of_kind("walk in space"))
+    assert set(data.data_vars) == set(KINDS["walk in space"].variables)
     place = {name: data[name].values for name in ("stance", "swing", "stance_hip", "swing_hip")}
     axle = data["axle"].values
     low = place["stance"][:, 2] - WALKER.disc_radius * np.sqrt(1 - axle[:, 2] ** 2)

@@ -9,7 +9,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.storage.schema import KINDS, kind_of, variables_of_kind
+from walker_jax.storage.schema import KINDS, kind_of
 from walker_jax.systems.parameter import Parameter
 from walker_jax.walkers.parameter_table import DESCRIBED
 from walker_jax.walkers.units import is_unit, powers_of, si_unit, units_of, with_units
@@ -42,7 +42,7 @@ def test_sizes_of_units(unit, size, named):
 
 
 def test_every_unit_of_the_tables_is_read():
-    units = {one.unit for kind in KINDS for one in variables_of_kind(kind).values()}
+    units = {one.unit for kind in KINDS for one in KINDS[kind].variables.values()}
     parameters = {
         one.unit for row in DESCRIBED.values() for one in row if isinstance(one, Parameter)
     }

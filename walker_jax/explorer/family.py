@@ -3,16 +3,7 @@
 from walker_jax.explorer.lattice import FARTHEST, HOME_CELLS, LEVELS, MAX_TILES, TILE
 from walker_jax.explorer.offers import Offer, Offers, slider_range, slider_step, window_of
 from walker_jax.explorer.pictures import FIRST_ATTRACTOR, UNMATCHED
-from walker_jax.figures.style import (
-    ARTEFACTS,
-    BASINS,
-    FAILURES,
-    OTHERS,
-    failure_words,
-)
-from walker_jax.figures.style import (
-    UNMATCHED as UNMATCHED_COLOUR,
-)
+from walker_jax.figures import style
 from walker_jax.systems.maps import Map
 from walker_jax.systems.outcomes import OWN, Outcome
 from walker_jax.walkers.parameters import Parameter
@@ -39,11 +30,11 @@ def describe_family(offers: Offers) -> dict:
     """Describe all that the page shows without computing: walkers, fates and the lattice."""
     return {
         "walkers": {name: describe_offer(one) for name, one in offers.items()},
-        "fates": {int(one): describe_failure(one) for one in FAILURES if one < OWN},
-        "basins": list(BASINS),
-        "others": OTHERS,
-        "unmatched": UNMATCHED_COLOUR,
-        "artefacts": ARTEFACTS,
+        "fates": {int(one): describe_failure(one) for one in style.SIGNS if one < OWN},
+        "basins": list(style.BASINS),
+        "others": style.OTHERS,
+        "unmatched": style.UNMATCHED,
+        "artefacts": style.ARTEFACTS,
         "labels": {"unmatched": UNMATCHED, "first": FIRST_ATTRACTOR, "stride": int(Outcome.STRIDE)},
         "lattice": {
             "tile": TILE,
@@ -59,8 +50,8 @@ def describe_failure(outcome: Outcome, failures: tuple[str, ...] = ()) -> dict:
     """Describe an outcome of a system with these failures of its own: its words and its colour."""
     return {
         "name": outcome.name,
-        "words": failure_words(outcome, failures),
-        "colour": FAILURES[outcome][0],
+        "words": style.failure_words(outcome, failures),
+        "colour": style.SIGNS[outcome][0],
         "lost": outcome not in NOT_LOST,
     }
 

@@ -40,7 +40,6 @@ from walker_jax.figures.robustness_plots import robustness as robustness
 from walker_jax.figures.robustness_plots import robustness_measures as robustness_measures
 from walker_jax.figures.robustness_plots import robustness_table as robustness_table
 from walker_jax.figures.style import BASINS as BASINS
-from walker_jax.figures.style import FAILURES as FAILURES
 from walker_jax.figures.style import INK as INK
 from walker_jax.figures.style import OTHERS as OTHERS
 from walker_jax.figures.sweep_plots import basin_fractions as basin_fractions

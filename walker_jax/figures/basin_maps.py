@@ -8,13 +8,13 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from walker_jax.basins.cell_classes import along_axis, large_basins
+from walker_jax.basins.cell_classes import along_axis
 from walker_jax.checks import WrongUse
 from walker_jax.figures import layout, regions, text
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_figure
-from walker_jax.figures.style import BASINS, INK, MARKERS, SMALL, TITLE
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, new_panels
+from walker_jax.figures.style import INK, TITLE
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of, names_in
+from walker_jax.systems.outcomes import names_in
 
 PANELS = 6
 """Most slices in a picture of a basin of three dimensions."""
@@ -29,22 +29,16 @@ def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     room, and in the legend otherwise, with the number of its cells. Dots are the attractors of the
     large basins.
     """
-    check_dataset(data, "basin")
+    ax = begin(ax, style, data, "basin")
     check_plane(data["fate"])
-    ax = axes_for(ax, style)
-    large, axes = large_basins(data, len(BASINS)), axes_of(data)
+    large, axes = regions.largest(data), regions.axes_of(data)
     found, extent = regions.draw_regions(ax, data, large)
-    free, share = np.ones(data["fate"].shape, bool), share_drawn(data)
-    for number, marker in zip(large, MARKERS, strict=False):
-        cycle = regions.cycle_of(data, number)
-        dots = regions.place_states(data, cycle, axes)
+    free, share, patches = np.ones(data["fate"].shape, bool), share_drawn(data), []
+    for dots, marker, name in regions.attractors(data, large):
         inside = (dots >= extent[::2]) & (dots <= extent[1::2])
-        name = regions.attractor_name(data, int(data["period"].sel(number=number)), cycle)
         where = "" if inside.all(axis=1).any() else " (outside the picture)"
         regions.mark_attractor(ax, dots, marker, name + where)
         regions.keep_clear(free, dots, extent)
-    ax.set(xlim=extent[:2], ylim=extent[2:])
-    patches = []
     for region in found:
         named = style.get("labels", True) and regions.draw_label(ax, region, free, extent)
         if not named or region.counted:
@@ -68,12 +62,6 @@ def check_plane(fate: xr.DataArray) -> None:
         )
 
 
-def axes_of(data: xr.Dataset) -> tuple[str, str]:
-    """Return the axes of a basin over two dimensions."""
-    x, y = map(str, data["fate"].dims)
-    return x, y
-
-
 def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
     """Draw a narrow window of a basin, and beside it the basin with the window's place.
 
@@ -83,16 +71,15 @@ def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
     - `around`: the same on the whole grid.
     """
     check_dataset(data, "basin")
-    if not len(data.attrs.get("origin", ())):
+    if "origin" not in data.attrs:
         raise WrongUse("data must be of a window, as Grid.zoom makes them, and have its origin")
-    figure = new_figure(13, 5.8)
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = new_panels(13, 5.8, 1, 2)
     basin(around, left)
     origin = np.asarray(data.attrs["origin"])[None]
-    (place,) = regions.place_states(around, origin, axes_of(around))
-    arrow = {"arrowstyle": "->", "color": INK, "lw": 1.4}
-    look: Any = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8}
-    left.annotate("window", place, (24, 34), "data", "offset points", arrow, bbox=look)
+    (place,) = regions.place_states(around, origin)
+    arrow: Any = {"arrowstyle": "->", "color": INK, "lw": 1.4}
+    box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8}
+    left.annotate("window", place, (24, 34), "data", "offset points", arrow, bbox=box)
     basin(data, right, title="Window")
     return figure
 
@@ -109,30 +96,27 @@ def basin_slices(data: xr.Dataset) -> Figure:
         raise WrongUse(
             f"data must have a fate over 2 x 2 x 1 cells or more, not {dict(fate.sizes)}"
         )
-    x, y, z = map(str, fate.dims)
+    x, y, z = regions.axes_of(data)
     depths = data[z].values
     chosen = evenly_spaced(len(depths), PANELS)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
-    figure = new_figure(3.1 * columns + 0.6, 2.7 * rows + 1.5)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    large = large_basins(data, len(BASINS))
+    size = 3.1 * columns + 0.6, 2.7 * rows + 1.5
+    figure, panels = new_panels(*size, rows, columns, sharex=True, sharey=True)
+    large = regions.largest(data)
     found = regions.regions_of(data, large)
-    image, extent = regions.paint(found, fate.shape), regions.extent_of(data, x, y)
-    for ax, index in zip(grid.flat, chosen, strict=False):
+    image, extent = regions.paint(found, fate.shape), regions.extent_of(fate)
+    for ax, index in zip(panels, chosen, strict=False):
         regions.show_image(ax, image[:, :, index], extent)
         ax.set_title(text.coordinate_value(z, float(depths[index])), fontsize="medium")
-    for number, marker in zip(large, MARKERS, strict=False):
-        cycle = regions.cycle_of(data, number)
-        name = regions.attractor_name(data, int(data["period"].sel(number=number)), cycle)
-        for place in regions.place_states(data, cycle, (x, y, z)):
-            ax = grid.flat[int(np.abs(depths[chosen] - place[2]).argmin())]
+    for dots, marker, name in regions.attractors(data, large):
+        for place in dots:
+            ax = panels[int(np.abs(depths[chosen] - place[2]).argmin())]
             regions.mark_attractor(ax, place[None, :2], marker, name)
-    grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
-    layout.name_outer_axes(grid, len(chosen), x, y)
+    layout.name_outer_axes(panels, len(chosen), x, y)
     patches = [regions.counted_patch(region, share_drawn(data)) for region in found]
     layout.figure_title(figure, text.walker_title(data))
-    layout.figure_legend(grid.flat, patches, text.basin_note(data))
+    layout.figure_legend(panels, patches, text.basin_note(data))
     return figure
 
 
@@ -143,20 +127,19 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     of the section.
     """
     check_dataset(data, "basins over slopes")
-    slopes, (x, y) = data["slope"].values.tolist(), map(str, data["fate"].dims[1:])
+    slopes, (_, x, y) = data["slope"].values.tolist(), regions.axes_of(data)
     rows = -(-len(slopes) // 3)
-    figure = new_figure(10, 3 * rows + 0.9)
-    panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
-    fate, extent = data["fate"].values, regions.extent_of(data, x, y)
-    found = regions.with_one_basin(fate, data["attractor"].values >= 0, failures_of(data))
-    images, areas = regions.paint(found, fate.shape), data["area"].values.tolist()
-    for ax, slope, cells, area in zip(panels.flat, slopes, images, areas, strict=False):
+    figure, panels = new_panels(10, 3 * rows + 0.9, rows, 3, sharex=True, sharey=True)
+    fate, extent = data["fate"].values, regions.extent_of(data["fate"][0])
+    found, images = regions.paint_one_basin(data, fate, data["attractor"].values >= 0)
+    areas = data["area"].values.tolist()
+    for ax, slope, cells, area in zip(panels, slopes, images, areas, strict=False):
         regions.show_image(ax, cells, extent)
         ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
         note = text.area_phrase(data, area) if area > 0 else "no basin of attraction"
-        ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
+        layout.write_beside(ax, note, (0, 1), (0, 5), xycoords="axes fraction")
     layout.name_outer_axes(panels, len(slopes), x, y)
-    layout.figure_legend(panels.flat, map(regions.patch_of, found))
+    layout.figure_legend(panels, map(regions.patch_of, found))
     return figure
 
 
@@ -168,13 +151,13 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
     return thinned.assign_attrs(shape=whole, thinned=share_drawn(data) * math.prod(over.values()))
 
 
-def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
+def place_note(data: xr.Dataset, axes: tuple[str, ...]) -> str:
     """Return a line with the middle of the picture, to all digits, if its axes have offsets."""
     middle = {axis: middle_of(data, axis) for axis in axes}
     if not any(middle.values()):
         return ""
-    values = [f"{text.SYMBOLS.get(axis, axis)} = {value:.17g}" for axis, value in middle.items()]
-    return f"\naround {', '.join(values)}".replace("-", "−")
+    values = [text.coordinate_value(axis, value, ".17g") for axis, value in middle.items()]
+    return f"\naround {', '.join(values)}"
 
 
 def middle_of(data: xr.Dataset, axis: str) -> float:

@@ -7,12 +7,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from walker_jax.figures import regions
-from walker_jax.figures.basin_maps import axes_of, check_plane
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.basin_maps import check_plane
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.stability.boundaries import region_name
-from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import outcome_in_words
 
 CURVES = ("#e4572e", "#17a398", "#f2c14e")
@@ -37,11 +36,9 @@ def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -
 
     Curves are the stable manifolds of the saddles.
     """
-    check_dataset(data, "boundary")
+    ax = begin(ax, style, data, "boundary", 7, 6.2)
     check_plane(data["fate"])
-    ax = axes_for(ax, style, 7, 6.2)
-    x, y = axes = axes_of(data)
-    found, extent = regions.draw_regions(ax, data)
+    (x, y), (found, _) = regions.axes_of(data), regions.draw_regions(ax, data)
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
@@ -55,39 +52,25 @@ def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -
         elif len(states):
             seen[known] = colour
             for curve in one["stable_manifold"].values:
-                points = regions.place_states(data, curve, axes)
-                ax.plot(*points.T, "-", color=colour, lw=1.4, zorder=3)
-            words = saddle_phrase(one)
+                ax.plot(*regions.place_states(data, curve).T, color=colour, lw=1.4, zorder=3)
+            values = finite_rows(one["edge_multipliers"].values)
+            words = f"saddle of period {int(one['edge_period'])}, multipliers "
+            words += ", ".join(f"{real:.3g}" for real, _ in values)
         else:
             states = finite_rows(one["edge_path"].values)[-1:]
             kind = str(one["edge_kind"].values)
             words = ENDS.get(kind, f"leads to {outcome_in_words(kind)}")
             colour, sign = "white", "D"
-        look: Any = {"color": colour, "mec": INK, "mew": 0.8, "ls": "", "zorder": 4}
-        places = regions.place_states(data, states, axes)
-        ax.plot(*places.T, sign, label=f"{pair}: {words}", **look)
-    ax.set(xlim=extent[:2], ylim=extent[2:])
-    note, patches = entropy_phrase(data), map(regions.patch_of, found)
+        look: Any = {"label": f"{pair}: {words}", "mec": INK, "mew": 0.8, "ls": "", "zorder": 4}
+        ax.plot(*regions.place_states(data, states).T, sign, color=colour, **look)
+    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
+    fractal = "fractal" if data["boundary_fractal"] else "no sign of a fractal"
+    note = f"basin entropy {float(data['basin_entropy']):.4f}, of the boundary {value:.3f} ± "
+    note += f"{error:.3f} ({fractal});\ncurves are stable manifolds of the saddles"
+    patches = map(regions.patch_of, found)
     return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches)
 
 
 def finite_rows(states: np.ndarray) -> np.ndarray:
     """Return the states that are known."""
     return states[np.isfinite(states).all(axis=1)]
-
-
-def saddle_phrase(one: xr.Dataset) -> str:
-    """Describe a saddle with its multipliers."""
-    period = int(one["edge_period"])
-    values = finite_rows(one["edge_multipliers"].values)
-    words = ", ".join(f"{real:.3g}" for real, _ in values)
-    return f"saddle of period {period}, multipliers {words}"
-
-
-def entropy_phrase(data: xr.Dataset) -> str:
-    """State the entropies of a basin, and whether its boundary is fractal."""
-    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
-    fractal = "fractal" if data["boundary_fractal"] else "no sign of a fractal"
-    value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"
-    first = f"basin entropy {float(data['basin_entropy']):.4f}, {value_phrase};"
-    return f"{first}\ncurves are stable manifolds of the saddles"

@@ -13,25 +13,26 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_title, finish, new_figure
-from walker_jax.figures.style import BASINS, DASHED, INK, SMALL, SOLID, period_style
+from walker_jax.figures import layout
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, write_beside
+from walker_jax.figures.style import BASINS, DASHED, INK, LEVEL, SMALL, SOLID, period_style
 from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.gaits import curves
 from walker_jax.gaits.curves import Curve
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
 
-BASE: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 1.2, "ls": ""}
-FILLED: dict[str, Any] = {"mec": "white", "mew": 0.5, "ls": ""}
-SIGNS: tuple[dict[str, Any], ...] = (
-    BASE | {"marker": "<", "ms": 6, "mew": 1},
-    FILLED | {"marker": "o", "ms": 4.5},
-    BASE,
-    BASE | {"marker": "s", "ms": 5},
-    FILLED | {"marker": "s", "ms": 5},
-)
-"""Signs of folds, of period doublings, of subcritical ones, and of Neimark-Sacker points, open, and
-filled where they are known to be supercritical."""
+OPEN: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 1.2, "ls": ""}
+FILLED: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
+SIGNS = {
+    "fold": OPEN | {"marker": "<", "ms": 6, "mew": 1},
+    "period doubling": FILLED,
+    "subcritical doubling": OPEN,
+    "Neimark-Sacker": OPEN | {"marker": "s", "ms": 5},
+    "supercritical Neimark-Sacker": FILLED | {"marker": "s", "ms": 5},
+}
+"""Signs of bifurcations; those of Neimark-Sacker points are open unless they are known to be
+supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 DOTS = 90
@@ -55,36 +56,32 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     subcritical ones. Squares are Neimark-Sacker points, filled where they are supercritical. At the
     right are the step times of the gaits of period one at the end of the range.
     """
-    check_dataset(data, "gait branches")
-    ax = axes_for(ax, style, 7, 5.6)
+    ax = begin(ax, style, data, "gait branches", 7, 5.6)
     drawn = curves.read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
-    folds = data["event_fold"].values
+    stable, folds = data["stable"].values, data["event_fold"].values
     subcritical = ~folds & (coefficients(data, "event") < 0)
-    closed = coefficients(data, "torus") < 0
-    draw_events(ax, data, "event", np.where(folds, 0, np.where(subcritical, 2, 1)))
-    draw_events(ax, data, "torus", np.where(closed, 4, 3))
+    supercritical = coefficients(data, "torus") < 0
+    events = {"fold": folds, "period doubling": ~folds & ~subcritical}
+    events["subcritical doubling"] = subcritical
+    tori = {"Neimark-Sacker": ~supercritical, "supercritical Neimark-Sacker": supercritical}
+    draw_events(ax, data, "event", events)
+    draw_events(ax, data, "torus", tori)
+    looks = {"stable": (stable, SOLID), "unstable": (~stable, DASHED)}
+    looks |= {kind: (some, SIGNS[kind]) for kind, some in (events | tori).items()}
+    signs = [
+        Line2D([], [], color=INK, label=kind, **look)
+        for kind, (some, look) in looks.items()
+        if some.any()
+    ]
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
-    counts["Neimark-Sacker point"] = len(closed)
+    counts["Neimark-Sacker point"] = len(supercritical)
     set_range(ax, data)
     if style.get("labels", True):
         write_step_times(ax, data)
-    kinds = [
-        Line2D([], [], color=INK, label=name, **look)
-        for name, found, look in (
-            ("stable", data["stable"].values, SOLID),
-            ("unstable", ~data["stable"].values, DASHED),
-            ("fold", folds, SIGNS[0]),
-            ("period doubling", ~folds & ~subcritical, SIGNS[1]),
-            ("subcritical doubling", subcritical, SIGNS[2]),
-            ("Neimark-Sacker", ~closed, SIGNS[3]),
-            ("supercritical Neimark-Sacker", closed, SIGNS[4]),
-        )
-        if found.any()
-    ]
     note = ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n)
-    y, handles = names_in(data, "section")[0], [*kinds, *period_lines(drawn)]
+    y, handles = names_in(data, "section")[0], [*signs, *period_lines(drawn).values()]
     return over_parameter(ax, style, data, "gaits", note, y=y, legend=handles)
 
 
@@ -106,29 +103,27 @@ def largest_multiplier(
     the gaits of period two that branch off it, and so on. A gait is stable, and its line solid,
     where the modulus is below one.
     """
-    check_dataset(data, "gait branches")
-    ax = axes_for(ax, style, 7, 4.6)
-    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    ax = begin(ax, style, data, "gait branches", 7, 4.6)
+    ax.axhline(1, **LEVEL)
     family = curves.cascade_curves(data)
+    for curve in family:
+        draw_multiplier(ax, curve)
     handles = period_lines(family)
-    for handle, period in zip(handles, sorted({c.period for c in family}), strict=True):
-        own = [curve for curve in family if curve.period == period]
-        for curve in own:
-            draw_multiplier(ax, curve)
-        values = np.concatenate([curve.doublings for curve in own])
-        draw_event(ax, values, np.ones(len(values)), period, SIGNS[1])
+    for period, handle in handles.items():
+        values = np.concatenate([one.doublings for one in family if one.period == period])
+        draw_event(ax, values, np.ones(len(values)), period, "period doubling")
         if len(values):
             where = " and ".join(f"{value:.5f}" for value in values)
             handle.set_label(f"{handle.get_label()}, doubles at {where}")
     set_range(ax, data)
     ax.set_ylim(0, HIGHEST)
-    sides = (("unstable", 3, "bottom"), ("stable", -4, "top"))
-    for words, rise, side in sides * style.get("labels", True):
-        place = ax.get_yaxis_transform()
-        ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=SMALL)
+    at = ax.get_yaxis_transform()
+    for words, rise, side in (("unstable", 3, "bottom"), ("stable", -4, "top")):
+        if style.get("labels", True):
+            write_beside(ax, words, (0, 1), (5, rise), xycoords=at, va=side)
     subject = "largest Floquet multiplier"
     note = "of the most stable gait of period one and the gaits that double from it"
-    return over_parameter(ax, style, data, subject, note, y=RADIUS, legend=handles)
+    return over_parameter(ax, style, data, subject, note, y=RADIUS, legend=handles.values())
 
 
 def bifurcation_diagram(
@@ -141,8 +136,7 @@ def bifurcation_diagram(
     period doublings starts. A vertical line marks the middle of the interval in which walking is
     lost.
     """
-    check_dataset(data, "bifurcation diagram")
-    ax = axes_for(ax, style, 7, 5)
+    ax = begin(ax, style, data, "bifurcation diagram", 7, 5)
     value, state = curves.attractor_states(data)
     gaps = np.diff(np.unique(data["sample_value"].values))
     size = np.clip(DOTS * gaps.max() / gaps.sum(), 1, 3) if len(gaps) else 3
@@ -168,13 +162,12 @@ def lyapunov_exponents(
     Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
     above zero. Nothing is drawn where no walker walks.
     """
-    check_dataset(data, "bifurcation diagram")
+    ax = begin(ax, style, data, "bifurcation diagram", 7, 4.6)
     if "exponents" not in data:
         raise WrongUse("data must have exponents: give bifurcation_diagram a number of strides")
-    ax = axes_for(ax, style, 7, 4.6)
     value = data["sample_value"].values
     found, errors = data["exponents"].values, data["exponent_errors"].values
-    ax.axhline(0, color=INK, lw=0.8, zorder=1)
+    ax.axhline(0, **LEVEL)
     for i, (middle, error) in enumerate(zip(found.T, 2 * errors.T, strict=True)):
         colour = BASINS[i % len(BASINS)]
         ax.fill_between(value, middle - error, middle + error, color=colour, alpha=0.3, lw=0)
@@ -186,10 +179,9 @@ def lyapunov_exponents(
         deepest = min(float(known.min()), 0.0)
         ax.set_ylim(max(deepest, -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
         set_range(ax, data)
-    positive = value[found[:, 0] > 2 * errors[:, 0]]
-    note = (
-        f"the first is above zero from {positive[0]:.5f}" if len(positive) else "none is above zero"
-    )
+    note = "none is above zero"
+    if len(positive := value[found[:, 0] > 2 * errors[:, 0]]):
+        note = f"the first is above zero from {positive[0]:.5f}"
     return over_parameter(ax, style, data, "Lyapunov exponents", note, y="exponent (1/stride)")
 
 
@@ -205,23 +197,21 @@ def bifurcations(data: xr.Dataset) -> Figure:
     panels = [(gait_branches, "Gaits"), (bifurcation_diagram, "Attractors")]
     panels.append((largest_multiplier, "Largest Floquet multiplier"))
     panels += [(lyapunov_exponents, "Lyapunov exponents")] * exponents
-    whole = len(panels)
     if window is not None:
         panels.append((bifurcation_diagram, "Attractors of the cascade"))
         panels += [(lyapunov_exponents, "Exponents of the cascade")] * exponents
     rows = -(-len(panels) // 2)
-    figure = new_figure(10.4, 4.5 * rows)
-    axes = figure.subplots(rows, 2).flat
-    for i, (ax, (draw, title)) in enumerate(zip(axes, panels, strict=False)):
-        draw(data, ax, title=f"{'abcdef'[i]}  {title}")
-        if window is not None and i >= whole:
+    figure, axes = layout.new_panels(10.4, 4.5 * rows, rows, 2)
+    for ax, letter, (draw, title) in zip(axes, "abcdef", panels, strict=False):
+        draw(data, ax, title=f"{letter}  {title}")
+        if window is not None and title.endswith("of the cascade"):
             ax.set_xlim(window[:2])
             if draw is bifurcation_diagram:
                 ax.set_ylim(window[2:])
                 ax.lines[0].set(markersize=0.8 * ax.lines[0].get_markersize(), alpha=0.5)
-    for ax in figure.axes[len(panels) :]:
+    for ax in axes[len(panels) :]:
         ax.remove()
-    figure_title(figure, walker_title(data))
+    layout.figure_title(figure, walker_title(data))
     return figure
 
 
@@ -239,10 +229,9 @@ def stability_and_area(
 
     **Returns** the axes of the multiplier, which share their place with those of the area.
     """
-    check_dataset(gaits, "gait branches")
+    ax = begin(ax, style, gaits, "gait branches", 8, 4.8)
     check_dataset(areas, "areas over slopes")
-    ax = axes_for(ax, style, 8, 4.8)
-    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    ax.axhline(1, **LEVEL)
     slopes, known = areas["slope"].values, np.isfinite(areas["area"].values)
     for curve in curves.cascade_curves(gaits)[:1]:
         draw_multiplier(ax, curve)
@@ -269,12 +258,7 @@ def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
 
 
 def draw_curve(
-    ax: Axes,
-    curve: Curve,
-    heights: Float[np.ndarray, "n k"],
-    *,
-    stable: bool = True,
-    label: str = "",
+    ax: Axes, curve: Curve, heights: np.ndarray, *, stable: bool = True, label: str = ""
 ) -> None:
     """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`.
 
@@ -300,25 +284,21 @@ def draw_multiplier(ax: Axes, curve: Curve) -> None:
     draw_curve(ax, fine, fine.spectral_radius[:, None])
 
 
-def draw_event(
-    ax: Axes,
-    values: Float[np.ndarray, " n"],
-    heights: Float[np.ndarray, " n"],
-    period: int,
-    sign: dict[str, Any],
-) -> None:
+def draw_event(ax: Axes, values: np.ndarray, heights: np.ndarray, period: int, kind: str) -> None:
     """Draw the signs of a bifurcation; for long periods, which are many, they are smaller."""
-    colour, _ = period_style(period)
+    (colour, _), sign = period_style(period), SIGNS[kind]
     smaller = {} if period < 3 else {"ms": 0.7 * sign["ms"], "mew": 0.7 * sign["mew"]}
     ax.plot(values, heights, color=colour, zorder=7 - period / 100, **sign | smaller)
 
 
-def draw_events(ax: Axes, data: xr.Dataset, name: str, signs: np.ndarray) -> None:
-    """Draw the bifurcations of a name, at each phase of their gaits, with these signs."""
+def draw_events(ax: Axes, data: xr.Dataset, name: str, kinds: dict[str, np.ndarray]) -> None:
+    """Draw bifurcations, at each phase of their gaits, by the marks of each kind."""
     heights = curves.first_coordinate(data[f"{name}_states"])
-    periods = data[f"{name}_period"].values.tolist()
-    for i, (value, period) in enumerate(zip(data[f"{name}_value"].values, periods, strict=True)):
-        draw_event(ax, np.full(period, value), heights[i, :period], period, SIGNS[signs[i]])
+    values, periods = (data[f"{name}_{one}"].values for one in ("value", "period"))
+    for kind, some in kinds.items():
+        for i in np.flatnonzero(some):
+            phases = np.full(periods[i], values[i]), heights[i, : periods[i]]
+            draw_event(ax, *phases, int(periods[i]), kind)
 
 
 def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
@@ -326,8 +306,7 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
     interval = curves.cascade_interval(data)
     if interval is None:
         return None
-    low, high = interval
-    low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+    low, high = layout.widened(np.array(interval), 0.05).tolist()
     value, state = curves.attractor_states(data)
     inside = state[(value >= low) & (value <= high)]
     if len(inside) == 0:
@@ -340,16 +319,12 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
     """Write the step times of the gaits of period one at the end of the range beside the axes."""
     heights, times = curves.final_gaits(data)
     order, at = np.argsort(heights), ax.get_yaxis_transform()
+    look: Any = {"va": "center", "fontsize": SMALL, "arrowprops": {"arrowstyle": "-", "lw": 0.5}}
     for i, place in zip(order, places_near(heights[order], *ax.get_ylim()), strict=True):
-        look: Any = {
-            "va": "center",
-            "fontsize": SMALL,
-            "arrowprops": {"arrowstyle": "-", "lw": 0.5},
-        }
         ax.annotate(f"{times[i]:.2f}", (1, heights[i]), (1.05, place), at, at, **look)
     if len(heights):
         words = "step time\n(√(l/g))" if has_known_units(data) else "time"
-        ax.annotate(words, (1.03, 1), (0, 6), "axes fraction", "offset points", fontsize=SMALL)
+        write_beside(ax, words, (1.03, 1), (0, 6), xycoords="axes fraction")
 
 
 def places_near(
@@ -374,9 +349,9 @@ def set_range(ax: Axes, data: xr.Dataset) -> None:
         ax.set_xlim(values.min(), values.max())
 
 
-def period_lines(drawn: list[Curve]) -> list[Line2D]:
+def period_lines(drawn: list[Curve]) -> dict[int, Line2D]:
     """Return the signs of periods in a legend, the shortest first."""
-    return [
-        Line2D([], [], color=period_style(period)[0], lw=3, label=f"period {period}")
+    return {
+        period: Line2D([], [], color=period_style(period)[0], lw=3, label=f"period {period}")
         for period in sorted({curve.period for curve in drawn})
-    ]
+    }

@@ -5,18 +5,17 @@ from typing import Any, Unpack
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.colors import ListedColormap, to_hex, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, cell_edges, finish
-from walker_jax.figures.regions import Extent, show_image
-from walker_jax.figures.style import INK, PERIODS, SIGNS, SMALL, period_style
+from walker_jax.figures import regions
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, write_beside
+from walker_jax.figures.style import INK, PERIODS, SIGNS, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
 from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
-from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, names_in
 
 TINTS = 0.05, 0.85, 0.825, 0.7, 0.65, 0.775, 0.55, 0.6
@@ -51,13 +50,16 @@ def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     the gait that bifurcates, and its line style the kind of bifurcation. Circles mark subcritical
     parts. Diamonds are points of codimension two.
     """
-    check_dataset(data, "chart")
-    ax = axes_for(ax, style, 7, 5.8)
-    extent = (*cell_edges(data["first"].values), *cell_edges(data["second"].values))
-    handles: list[Any] = [*draw_cells(ax, data, extent), *draw_lines(ax, data)]
-    special = special_points(data)
-    draw_special(ax, special, float(data["first"].mean()), style.get("labels", True))
-    ax.set(xlim=extent[:2], ylim=extent[2:])
+    ax = begin(ax, style, data, "chart", 7, 5.8)
+    handles: list[Any] = [*draw_cells(ax, data), *draw_lines(ax, data)]
+    special, middle = special_points(data), float(data["first"].mean())
+    box = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8}
+    for kind, place in special:
+        ax.plot(*place, zorder=7, ls="", **SPECIAL)
+        shift, side = ((-7, 4), "right") if place[0] > middle else ((7, 4), "left")
+        if style.get("labels", True):
+            words = kind.removesuffix(" resonance")
+            write_beside(ax, words, place, shift, ha=side, zorder=8, bbox=box)
     x, y = data["parameter"].values.tolist()
     counts = {"curve": data.sizes["line"], "codimension-two point": len(special)}
     title = f"{walker_title(data)}: {x.replace('_', ' ')} and {y.replace('_', ' ')}"
@@ -65,39 +67,36 @@ def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     return finish(ax, style, title, note, x=x, y=y, legend=handles)
 
 
-def tinted(period: int) -> tuple[float, ...]:
+def tinted(period: int) -> str:
     """Return the colour of a period, mixed with white."""
-    return tuple(1 - TINTS[period - 1] * (1 - part) for part in to_rgb(period_style(period)[0]))
+    share, (colour, _) = TINTS[period - 1], period_style(period)
+    red, green, blue = (1 - share * (1 - part) for part in to_rgb(colour))
+    return to_hex((red, green, blue))
 
 
-def draw_cells(ax: Axes, data: xr.Dataset, extent: Extent) -> list[Patch]:
+def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     """Colour the cells; return their legend handles."""
-    fate, period = data["cell_fate"].values, data["cell_period"].values
+    fate, period, most = data["cell_fate"].values, data["cell_period"].values, len(PERIODS)
     walks, undecided, without = (fate == one for one in (0, Outcome.UNDECIDED, NO_GAIT))
     fails = "falls" if "theta" in names_in(data, "section") else "fails"
-    kinds: dict[str, tuple[Any, Any]] = {
-        f"period {n}": (walks & (period == n), tinted(n)) for n in range(1, len(PERIODS) + 1)
-    } | {
-        "no or a longer period": (walks & ((period == 0) | (period > len(PERIODS))), NO_PERIOD),
-        fails: (~walks & ~undecided & ~without, FALLS),
-        "undecided": (undecided, NOT_KNOWN),
-    }
-    image = np.ones((*fate.shape, 3))
-    handles = []
-    for name, (cells, colour) in kinds.items():
-        if cells.any():
-            image[cells] = to_rgb(colour)
-            handles.append(Patch(fc=colour, ec=INK, lw=0.3, label=name))
-    show_image(ax, image, extent, interpolation="nearest", zorder=1)
+    kinds = [(f"period {n}", tinted(n), walks & (period == n)) for n in range(1, most + 1)] + [
+        ("no or a longer period", NO_PERIOD, walks & ((period == 0) | (period > most))),
+        (fails, FALLS, ~walks & ~undecided & ~without),
+        ("undecided", NOT_KNOWN, undecided),
+    ]
+    found = [
+        regions.Region(cells, colour, "", words) for words, colour, cells in kinds if cells.any()
+    ]
+    image, extent = regions.paint(found, fate.shape), regions.extent_of(data["cell_fate"])
+    image[without] = 255
+    regions.show_image(ax, image, extent, interpolation="nearest", zorder=1)
+    handles = [*map(regions.patch_of, found)]
     if without.any():
-        corners = [
-            np.linspace(low, high, n + 1)
-            for (low, high), n in zip(np.reshape(extent, (2, 2)), without.shape, strict=True)
-        ]
         shown = np.ma.masked_where(~without.T, np.ones(without.T.shape))
         look: Any = {"hatch": EMPTY["hatch"], "edgecolors": EMPTY["edgecolor"], "linewidth": 0}
-        ax.pcolor(*corners, shown, cmap=ListedColormap([EMPTY["facecolor"]]), zorder=2, **look)
-        handles.append(Patch(**EMPTY, lw=0.3, label="no gait"))
+        look["cmap"] = ListedColormap([EMPTY["facecolor"]])
+        ax.pcolor(*regions.corners_of(extent, fate.shape), shown, zorder=2, **look)
+        handles.append(Patch(**EMPTY, lw=0.5, label="no gait"))
     return handles
 
 
@@ -117,15 +116,9 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
             ax.plot(*part, color=colour, ls="", zorder=5, markevery=3, **CIRCLES)
         seen |= {(kind, bool(some)) for some in subcritical.tolist()} | {(kind, False)}
     return [
-        Line2D(
-            [],
-            [],
-            color=INK,
-            label=words + ", subcritical" * some,
-            **look | (CIRCLES if some else {}),
-        )
+        Line2D([], [], color=INK, label=words + ending, **look | circles)
         for kind, (words, look) in KINDS.items()
-        for some in (False, True)
+        for some, ending, circles in ((False, "", {}), (True, ", subcritical", CIRCLES))
         if (kind, some) in seen
     ]
 
@@ -139,17 +132,3 @@ def special_points(data: xr.Dataset) -> list[tuple[str, np.ndarray]]:
         if not any(kind == one and (abs(place - at) < apart).all() for one, at in found):
             found.append((kind, place))
     return found
-
-
-def draw_special(
-    ax: Axes, special: list[tuple[str, np.ndarray]], middle: float, labels: bool
-) -> None:
-    """Draw the points of codimension two, with their names on the side of the middle."""
-    look: Any = {"textcoords": "offset points", "fontsize": SMALL, "zorder": 8}
-    look["bbox"] = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8}
-    for kind, place in special:
-        x, y = place.tolist()
-        ax.plot(x, y, zorder=7, ls="", **SPECIAL)
-        shift, side = ((-7, 4), "right") if x > middle else ((7, 4), "left")
-        if labels:
-            ax.annotate(kind.removesuffix(" resonance"), (x, y), shift, ha=side, **look)

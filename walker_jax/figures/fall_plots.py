@@ -12,23 +12,15 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from walker_jax.basins.cell_classes import along_axis
 from walker_jax.checks import WrongUse, check_kind, numbers
-from walker_jax.figures.layout import (
-    DrawnAxes,
-    Style,
-    axes_for,
-    check_style,
-    figure_of,
-    figure_title,
-    finish,
-    new_figure,
-)
+from walker_jax.figures import layout
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, widened
 from walker_jax.figures.style import BASINS, INK, OTHERS, failure_words
 from walker_jax.figures.text import walker_title, with_error
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
 from walker_jax.stability.probable_falls import ProbableFall
-from walker_jax.storage.schema import check_dataset
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 
@@ -66,12 +58,11 @@ def probable_fall(
     - `walker`: what falls, for the title.
     """
     check_kind("fall", fall, ProbableFall)
-    check_style(style)
-    figure = new_figure(9, 7.6)
+    layout.check_style(style)
+    figure, panels = layout.new_panels(9, 7.6, 2, 2)
     inner: Any = {name: one for name, one in style.items() if name != "title"}
-    for ax, draw in zip(
-        figure.subplots(2, 2).flat, (draw_sequence, draw_actions, draw_path, draw_law), strict=True
-    ):
+    parts = draw_sequence, draw_actions, draw_path, draw_law
+    for ax, draw in zip(panels, parts, strict=True):
         draw(ax, fall, inner)
     words = f"{failure_words(fall.outcome)} after {fall.strides} strides"
     lines = [f"The most probable fall: {words}, action {fall.action:.6g}"]
@@ -79,7 +70,7 @@ def probable_fall(
         about = {"walker": type(walker).__name__} | attributes_of(walker)
         subtitle = lines if style.get("subtitle", True) else []
         lines = [walker_title(xr.Dataset(attrs=about)), *subtitle]
-    figure_title(figure, "\n".join(lines), "large", style)
+    layout.figure_title(figure, "\n".join(lines), "large", style)
     return figure
 
 
@@ -116,7 +107,8 @@ def draw_actions(ax: Axes, fall: ProbableFall, style: Style) -> None:
 
 def draw_path(ax: Axes, fall: ProbableFall, style: Style) -> None:
     """Draw states just after heel strike; open circles come after the last disturbance."""
-    places = np.stack([fall.states[:, 0], fall.states[:, 0] + fall.states[:, 2]])
+    theta, thetadot = fall.states[:, [0, 2]].T
+    places = np.stack([theta, theta + thetadot])
     number = np.arange(len(fall.states))
     first, last, disturbed = number == 0, number == number[-1], number <= len(fall.disturbances)
     blue: dict[str, Any] = {"marker": "o", "ms": 5, "color": BASINS[0]}
@@ -157,24 +149,23 @@ def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     as for basins; on rough ground the third direction is summed over. Colours show chance on a
     logarithmic scale.
     """
-    check_dataset(data, "metastable walking")
-    ax = axes_for(ax, style, 6.4, 5.2)
+    ax = begin(ax, style, data, "metastable walking", 6.4, 5.2)
     edges, chance = data["edges"].values, data["chance"].values
     seen = chance > FAINTEST * chance.max()
     shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5
     parts = np.stack(np.meshgrid(*[shares] * len(edges)), axis=-1).reshape(-1, len(edges)) @ edges
-    points = data["centre"].values[seen][:, None] + parts
-    theta, thetadot = points[..., 0].ravel(), points[..., 1].ravel()
+    points, x, y = np.concatenate(data["centre"].values[seen][:, None] + parts), "theta", "sum"
+    names = data["direction"].values.tolist()
+    theta, both = (along_axis(points, names, axis) for axis in (x, y))
     weights = np.repeat(chance[seen] / len(parts), len(parts))
-    sums, *places = np.histogram2d(theta, theta + thetadot, PIXELS, weights=weights)
+    sums, *places = np.histogram2d(theta, both, PIXELS, weights=weights)
     least = FAINTEST * sums.max()
     look: Any = {"norm": LogNorm(least, sums.max()), "cmap": "viridis_r", "rasterized": True}
     image = ax.pcolormesh(*places, np.ma.masked_less(sums.T, least), **look)
     mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
-    bar = figure_of(ax).colorbar(image, ax=ax, label="chance of each pixel")
     number = with_error(mean, error) if mean < 1e6 else f"{mean:.3g} ± {error:.2g}"
-    note = f"a fall after {number} strides on average"
-    return finish(ax, style, walker_title(data), note, x="theta", y="sum", beside=[bar.ax])
+    note, bar = f"a fall after {number} strides on average", (image, "chance of each pixel")
+    return finish(ax, style, walker_title(data), note, x=x, y=y, bar=bar)
 
 
 def chaotic_saddle(
@@ -201,15 +192,12 @@ def chaotic_saddle(
     if len(found.section) < 2:
         raise WrongUse(f"found must have two coordinates, not {', '.join(found.section)}")
     ax = axes_for(ax, style, 7, 5.6)
-    summed = found.section[:2] == ("theta", "thetadot")
-
-    def place(states: Any) -> tuple[np.ndarray, np.ndarray]:
-        first, second = np.moveaxis(np.asarray(states, float)[..., :2], -1, 0)
-        return first, first + second if summed else second
-
+    x, y = found.section[:2]
+    y = "sum" if (x, y) == ("theta", "thetadot") else y
+    place = lambda states: [along_axis(np.asarray(states), found.section, one) for one in (x, y)]
     ways = place(found.escapes[:ROUTES, -STRIDES:].swapaxes(0, 1))
-    for i, line in enumerate(ax.plot(*ways, "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)):
-        line.set_label("" if i else "on the way to a failure")
+    first, *_ = ax.plot(*ways, "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)
+    first.set_label("on the way to a failure")
     shown = [("saddle", found.saddle, BASINS[1])]
     shown += [] if attractor is None else [("attractor before the crisis", attractor, BASINS[2])]
     for order, (label, states, colour) in enumerate(shown, start=2):
@@ -219,13 +207,11 @@ def chaotic_saddle(
         look: Any = {"mfc": "white", "mec": INK, "mew": 1.2, "ms": 6, "zorder": 5}
         label = f"gait of period {len(gait.states)}"
         ax.plot(*place(gait.states), "o", label=label, **look)
-    for set_limits, values in zip((ax.set_xlim, ax.set_ylim), place(found.saddle), strict=True):
-        low, high = np.quantile(values, [0.001, 0.999])
-        set_limits(low - (high - low) * AROUND, high + (high - low) * AROUND)
+    across, up = widened(np.quantile(place(found.saddle), [0.001, 0.999], axis=1).T, AROUND)
+    ax.set(xlim=across, ylim=up)
     exponents = ", ".join(f"{one:.3f}" for one in found.exponents)
-    note = f"mean life {found.mean_life:.1f}; exponents {exponents}; "
-    note += f"dimension {found.dimension:.2f}"
-    x, y = found.section[0], "sum" if summed else found.section[1]
+    ends = f"exponents {exponents}; dimension {found.dimension:.2f}"
+    note = f"mean life {found.mean_life:.1f}; {ends}"
     return finish(ax, style, "Chaotic saddle", note, x=x, y=y)
 
 

@@ -1,7 +1,5 @@
 """Films of walkers."""
 
-import os
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,16 +18,15 @@ from PIL import Image
 from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes, new_figure
+from walker_jax.figures.layout import figure_legend, figure_title, name_axes, new_panels
 from walker_jax.figures.poses import draw_ground, draw_pose, leg_size, to_level
 from walker_jax.figures.poses_in_space import draw_in_space
-from walker_jax.figures.regions import paint, patch_of, with_one_basin
-from walker_jax.figures.style import INK
+from walker_jax.figures.regions import cell_edges, paint_one_basin, patch_of, place_states
+from walker_jax.figures.style import INK, TITLE
 from walker_jax.figures.text import walker_title
-from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
-from walker_jax.storage import absolute
+from walker_jax.figures.walk_plots import TRAJECTORY
+from walker_jax.storage import atomic_file
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
@@ -71,33 +68,29 @@ def film(
     if in_space and data is not None:
         raise WrongUse("data must be left out for a walk in space")
     check_dataset(walk, "walk in space" if in_space else "walk")
-    figure = new_figure(5.4 if data is None else 10.4, 4.8)
-    stage, *beside = figure.subplots(1, 1 if data is None else 2, squeeze=False)[0]
-    moving, path_in_basin = [stage], None
+    draw, lines, starts = draw_in_space if in_space else draw_on_slope, [], np.zeros((0, 2))
+    wide, panels = (5.4, 1) if data is None else (10.4, 2)
+    figure, (stage, *beside) = new_panels(wide, 4.8, 1, panels)
     if not in_space:
         draw_ground(stage, walk)
     if data is not None:
-        path_in_basin = trajectory_in(data, walk)
+        starts = place_states(data, walk["states"].values)
         lines = trajectory_lines(basin(data, beside[0], title=False))
-        moving += lines
     figure_title(figure, walker_title(walk), "medium" if data is None else "large")
     stage.set_axis_off()
     stage.set(xlim=(0, 1.5), ylim=(0, 1.3), aspect="equal")  # for the layout
-    heading = stage.set_title("stride 1, time 0.0", loc="left", size="medium", weight="bold")
+    heading = stage.set_title("stride 1, time 0.0", size="medium", **TITLE)
     fix_layout(figure)
-    with film_writer(figure, path, signature, moving) as grab:
+    with film_writer(figure, path, signature, [stage, *lines]) as grab:
         for k in track(range(walk.sizes["frame"]), "film", progress):
             pose = walk.isel(frame=k)
             number = int(pose["stride"])
-            drawn, (x, y), tall = (
-                draw_in_space(stage, pose) if in_space else draw_on_slope(stage, pose)
-            )
+            drawn, (x, y), tall = draw(stage, pose)
             stage.set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.3 * tall, y + tall))
             words = f"stride {number + 1}, time {float(pose['time']):.1f}"
             heading.set_text(words + ", slowed" * (number == slow))
-            if path_in_basin is not None:
-                lines[0].set_data(*path_in_basin[: number + 1].T)
-                lines[1].set_data(*path_in_basin[number : number + 1].T)
+            for line, first in zip(lines, (0, number), strict=False):
+                line.set_data(*starts[first : number + 1].T)
             for _ in range(SLOWED if number == slow else 1):
                 grab()
             for one in drawn:
@@ -114,7 +107,7 @@ def trajectory_lines(ax: Axes) -> list[Line2D]:
 
 def draw_on_slope(ax: Axes, pose: xr.Dataset) -> tuple[list[Line2D], tuple[float, float], float]:
     """Draw one frame; return its lines, the place below the hip, and the height shown."""
-    x, y = to_level(pose["hip"].values[None] * [[1, 0]], float(pose.attrs["walker_slope"]))[0]
+    x, y = to_level(pose["hip"].values * [1, 0], float(pose.attrs["walker_slope"]))
     if "footholds" in pose:
         last = pose.sizes["foothold"] - 1
         y += float(pose["footholds"][min(int(pose["stride"]), last), 1])
@@ -143,11 +136,9 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     check_dataset(data, "zoom")
     if data["fate"].ndim != 3:
         raise WrongUse(f"data must have a fate over two axes, not {dict(data['fate'].sizes)}")
-    walks = data["attractor"].values >= 0
-    regions = with_one_basin(data["fate"].values, walks, failures_of(data))
-    images = paint(regions, data["fate"].shape).swapaxes(1, 2)
-    figure = new_figure(6.4, 6.6)
-    ax = figure.subplots()
+    regions, images = paint_one_basin(data, data["fate"].values, data["attractor"].values >= 0)
+    images = images.swapaxes(1, 2)
+    figure, (ax,) = new_panels(6.4, 6.6, 1, 1)
     shown = ax.imshow(images[0], origin="lower", aspect="auto", interpolation="nearest")
     ax.set(xticks=[], yticks=[])
     x, y = map(str, data["fate"].dims[1:])
@@ -181,8 +172,7 @@ def film_writer(
 
     In a GIF, only the `moving` artists are drawn anew for each frame.
     """
-    with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=absolute(path).parent) as folder:
-        draft = Path(folder) / path.name
+    with atomic_file(path) as draft:
         if path.suffix == ".mp4":
             writer = FFMpegWriter(fps=FRAMES_PER_SECOND, metadata={"title": signature})
             with writer.saving(figure, str(draft), dpi=100):
@@ -205,12 +195,5 @@ def film_writer(
                 images.append(Image.fromarray(colours).quantize(COLOURS, PALETTE))
 
             yield grab
-            images[0].save(
-                draft,
-                save_all=True,
-                append_images=images[1:],
-                duration=1000 // FRAMES_PER_SECOND,
-                loop=0,
-                comment=signature.encode(),
-            )
-        os.replace(draft, path)
+            kept: Any = {"duration": 1000 // FRAMES_PER_SECOND, "comment": signature.encode()}
+            images[0].save(draft, save_all=True, append_images=images[1:], loop=0, **kept)

@@ -1,6 +1,6 @@
 """Fits to recordings: samples with residuals, correlations of parameters, bands of basins."""
 
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
@@ -11,20 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import (
-    DrawnAxes,
-    Style,
-    axes_for,
-    cell_edges,
-    figure_of,
-    finish,
-    new_figure,
-)
-from walker_jax.figures.regions import show_image
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, new_panels
+from walker_jax.figures.regions import cell_edges, show_image
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.figures.text import walker_title
 from walker_jax.grids import Grid
-from walker_jax.storage.schema import check_dataset
 
 SINCE = "time since heel strike"
 LEVELS = 0.025, 0.5, 0.975
@@ -33,8 +24,7 @@ LEVELS = 0.025, 0.5, 0.975
 
 def fit(data: xr.Dataset) -> Figure:
     """Draw what `walker_jax.fit` returns: `fitted_samples`, and `fit_residuals` beside it."""
-    figure = new_figure(12, 5)
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = new_panels(12, 5, 1, 2)
     fitted_samples(data, left)
     fit_residuals(data, right)
     return figure
@@ -42,8 +32,7 @@ def fit(data: xr.Dataset) -> Figure:
 
 def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw recorded and fitted coordinates over the time since heel strike, all steps in one."""
-    check_dataset(data, "fit")
-    ax = axes_for(ax, style, 6, 5)
+    ax = begin(ax, style, data, "fit", 6, 5)
     handles, after = draw_columns(ax, data, "recorded")
     for k in range(data.sizes["column"]):
         lines = ax.plot(after.T, data["fitted"].values[..., k].T, lw=0.6, color=INK)
@@ -54,8 +43,7 @@ def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Sty
 
 def fit_residuals(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw recorded less fitted coordinates, in standard deviations of their noise."""
-    check_dataset(data, "fit")
-    ax = axes_for(ax, style, 6, 5)
+    ax = begin(ax, style, data, "fit", 6, 5)
     handles, _ = draw_columns(ax, data, "residual")
     ax.axhline(0, lw=0.6, color=INK)
     squares, free = data.attrs["sum_of_squares"], data.attrs["degrees_of_freedom"]
@@ -81,21 +69,20 @@ def draw_columns(
 
 def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the correlations of the errors of fitted parameters."""
-    check_dataset(data, "fit")
-    ax = axes_for(ax, style, 5, 4.2)
+    ax = begin(ax, style, data, "fit", 5, 4.2)
     covariance, names = data["covariance"].values, list(data["parameter"].values)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):
         correlations = covariance / np.outer(errors, errors)
     image = ax.imshow(correlations, cmap="RdBu", vmin=-1, vmax=1)
     for (i, j), value in np.ndenumerate(correlations) if style.get("labels", True) else ():
-        look: Any = {"ha": "center", "va": "center", "color": "white" if abs(value) > 0.6 else INK}
-        ax.text(j, i, f"{value:.2f}", **look)
+        colour = "white" if abs(value) > 0.6 else INK
+        ax.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour)
     ax.set_xticks(range(len(names)), names)
     ax.set_yticks(range(len(names)), names)
-    bar = figure_of(ax).colorbar(image, ax=ax, label="correlation")
     note, both = f"errors from {data.sizes['step']} steps", "parameter"
-    return finish(ax, style, walker_title(data), note, x=both, y=both, beside=[bar.ax])
+    bar = image, "correlation"
+    return finish(ax, style, walker_title(data), note, x=both, y=both, bar=bar)
 
 
 def basin_band(
@@ -118,7 +105,7 @@ def basin_band(
     if shares.ndim != 3 or shares.shape[1:] != tuple(grid.shape) or not len(shares):
         raise WrongUse(f"draws must be of shape (draws, {grid.shape}), not {shares.shape}")
     mean = shares.mean(axis=0)
-    x, y = (np.asarray(values) for values in grid.axes.values())
+    x, y = map(np.asarray, grid.axes.values())
     shown, extent = np.where(mean > 0, mean, np.nan), (*cell_edges(x), *cell_edges(y))
     show_image(ax, shown, extent, cmap="Blues", vmin=0, vmax=1.4)
     for level, color in zip(LEVELS, (OTHERS, INK, OTHERS), strict=True):

@@ -9,11 +9,13 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cbook import is_math_text
+from matplotlib.cm import ScalarMappable
 from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -22,8 +24,9 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import offset_copy
 
 from walker_jax.checks import WrongUse, check_number
-from walker_jax.figures.style import NOTE, SHEET, SMALL, points_of
+from walker_jax.figures.style import NOTE, SMALL, TITLE, points_of
 from walker_jax.figures.text import NO_BREAK, axis_label
+from walker_jax.storage.schema import check_dataset
 
 GAP = 7
 """Gap between the axes and the text above them (points)."""
@@ -107,6 +110,14 @@ def new_figure(width: float | int, height: float | int) -> Figure:
     return Figure(figsize=(scale * width, scale * height), layout="constrained")
 
 
+def new_panels(
+    width: float | int, height: float | int, rows: int, columns: int, **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """Make a figure of a size in inches with rows of axes."""
+    figure = new_figure(width, height)
+    return figure, [*figure.subplots(rows, columns, squeeze=False, **shared).flat]
+
+
 if TYPE_CHECKING:
 
     class DrawnAxes(Axes):
@@ -128,6 +139,12 @@ def axes_for(
     return cast(DrawnAxes, new_figure(width, height).add_subplot() if ax is None else ax)
 
 
+def begin(ax: Axes | None, style: Style, data: xr.Dataset, kind: str, *size: Any) -> DrawnAxes:
+    """Check that the data of a picture are of a kind, and return its axes, as `axes_for`."""
+    check_dataset(data, kind)
+    return axes_for(ax, style, *size)
+
+
 def check_style(style: Style) -> None:
     """Raise `WrongUse` for words around a picture that `Style` lacks."""
     for name in style:
@@ -141,10 +158,10 @@ def figure_of(ax: Axes) -> Figure:
     return cast(Figure, ax.get_figure(root=True))
 
 
-def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Return the outer edges of equal cells."""
-    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
-    return float(centres[0] - half), float(centres[-1] + half)
+def widened(ends: Float[np.ndarray, "*axes 2"], share: float, least: float = 0.0) -> np.ndarray:
+    """Return the ends of ranges, moved outwards by a share of their widths, or by the least."""
+    beyond = np.maximum(share * np.ptp(ends, axis=-1, keepdims=True), least)
+    return ends + beyond * [-1, 1]
 
 
 def show_from_zero(ax: Axes, values: Float[np.ndarray, " n"]) -> None:
@@ -152,6 +169,12 @@ def show_from_zero(ax: Axes, values: Float[np.ndarray, " n"]) -> None:
     ax.update_datalim(np.stack([values, 0 * values], axis=1))
     ax.margins(x=0.03)
     ax.set_ylim(0)
+
+
+def write_beside(ax: Axes, words: str, place: Any, shift: tuple[int, int], **look: Any) -> None:
+    """Write small words at a distance (points) from a place, by default in data coordinates."""
+    look = {"fontsize": SMALL, "textcoords": "offset points"} | look
+    ax.annotate(words, place, shift, **look)
 
 
 def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any) -> None:
@@ -163,14 +186,14 @@ def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any)
         ax.set_ylabel(in_lines(axis_label(y), high, "axes.labelsize"), **look)
 
 
-def name_outer_axes(panels: np.ndarray, used: int, x: str, y: str) -> None:
+def name_outer_axes(panels: Sequence[Axes], used: int, x: str, y: str) -> None:
     """Name the axes at the left and below of rows of panels, and hide the last, unused ones."""
-    for ax in panels.flat[used:]:
+    for ax in panels[used:]:
         ax.set_visible(False)
-    for ax in panels[-1]:
-        name_axes(ax, x=x, size=SMALL)
-    for ax in panels[:, 0]:
-        name_axes(ax, y=y, size=SMALL)
+    for ax in panels:
+        place: Any = ax.get_subplotspec()
+        below, left = place.is_last_row(), place.is_first_col()
+        name_axes(ax, x if below else None, y if left else None, size=SMALL)
 
 
 def finish(
@@ -182,13 +205,17 @@ def finish(
     x: str,
     y: str,
     legend: Iterable[Artist] = (),
+    bar: tuple[ScalarMappable, str] | None = None,
     beside: Sequence[Axes] = (),
 ) -> DrawnAxes:
     """Write title and note above axes, their names, and a legend below. Returns the axes.
 
-    The legend has what is labelled on the axes, and then the given signs. `beside` are axes that
-    share the height, such as a colour bar.
+    The legend has what is labelled on the axes, and then the given signs. `bar` has the colours of
+    a bar beside the axes and its name; `beside` are other axes that share the height.
     """
+    if bar is not None:
+        colours, words = bar
+        beside = [*beside, figure_of(ax).colorbar(colours, ax=ax, label=words).ax]
     printed = page_width.get() is not None
     for line in ax.lines if printed else ():
         for size in ("markersize", "linewidth", "markeredgewidth"):
@@ -200,18 +227,17 @@ def finish(
     wide = float(WIDER * ax.bbox.width / figure_of(ax).dpi)
     title = chosen_title(style, title)
     note = in_lines(note, wide, NOTE) if style.get("subtitle", not printed) else ""
-    with rc_context(SHEET):
-        if note:
-            ax.annotate(note, (0, 1), (0, GAP), "axes fraction", "offset points", fontsize=NOTE)
-        pad = GAP + 1.45 * points_of(NOTE) * len(note.splitlines()) if note else None
-        ax.set_title(in_lines(title, wide, "axes.titlesize", "bold"), pad=pad)
-        labelled = (each.get_legend_handles_labels()[0] for each in (ax, *beside))
-        handles = [*chain(*labelled), *legend]
-        if style.get("legend", True) and handles:
-            drop = 13 + 2.4 * points_of("font.size")  # height of the axes' names and numbers
-            below = offset_copy(ax.transAxes, figure_of(ax), y=-drop, units="points")
-            place: Any = {"bbox_to_anchor": (0, 0), "bbox_transform": below}
-            ax.legend(**in_columns(handles, wide), **place)
+    if note:
+        write_beside(ax, note, (0, 1), (0, GAP), xycoords="axes fraction", fontsize=NOTE)
+    pad = GAP + 1.45 * points_of(NOTE) * len(note.splitlines()) if note else None
+    ax.set_title(in_lines(title, wide, "axes.titlesize", "bold"), pad=pad, **TITLE)
+    labelled = (each.get_legend_handles_labels()[0] for each in (ax, *beside))
+    handles = [*chain(*labelled), *legend]
+    if style.get("legend", True) and handles:
+        drop = 13 + 2.4 * points_of("font.size")  # height of the axes' names and numbers
+        below = offset_copy(ax.transAxes, figure_of(ax), y=-drop, units="points")
+        place: Any = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": below}
+        ax.legend(**in_columns(handles, wide), **place, frameon=False, borderpad=0, borderaxespad=0)
     return cast(DrawnAxes, ax)
 
 
@@ -227,19 +253,15 @@ def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str
     Matplotlib's own `wrap` fills the whole figure, over other axes, and does nothing in notebooks,
     which save with `bbox_inches="tight"`.
     """
+    fits = lambda line: width_of(line, size, weight) <= inches
+    broken = lambda phrase: phrase if fits(phrase.strip()) else phrase.replace(NO_BREAK, " ")
     lines = []
     for paragraph in text.split("\n"):
-        line = ""
-        for word in WORD.findall(paragraph):
-            longer = line + word if line else word.strip(" ")
-            if width_of(longer, size, weight) > inches:
-                lines += [line] if line else []
-                if NO_BREAK in word and width_of(word, size, weight) > inches:
-                    word = in_lines(word.replace(NO_BREAK, " "), inches, size, weight)
-                *full, longer = word.strip(" ").split("\n")
-                lines += full
-            line = longer
-        lines.append(line)
+        lines.append("")
+        for word in WORD.findall("".join(map(broken, WORD.findall(paragraph)))):
+            if lines[-1] and not fits(lines[-1] + word):
+                lines.append("")
+            lines[-1] += word if lines[-1] else word.strip(" ")
     return "\n".join(lines).replace(NO_BREAK, " ")
 
 
@@ -256,10 +278,12 @@ def in_columns(handles: Sequence[Artist | Container], inches: float) -> dict[str
     wide = lambda columns: sum(part.max() for part in np.array_split(widths, columns))
     fitting = [columns for columns in range(least, most + 1) if wide(columns) <= inches]
     room = math.inf if fitting else inches / least - sign
-    broken = [in_lines(one, room, size) for one in labels]
-    rows = lambda columns: -(-len(handles) // columns)
-    columns = min(fitting, key=lambda columns: (rows(columns), columns), default=least)
-    return {"handles": handles, "labels": broken, "ncols": columns}
+    fewest_rows = lambda columns: (-(-len(handles) // columns), columns)
+    return {
+        "handles": handles,
+        "labels": [in_lines(one, room, size) for one in labels],
+        "ncols": min(fitting, key=fewest_rows, default=least),
+    }
 
 
 def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:

@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import INK, gait_marker
-from walker_jax.figures.text import count_noun
+from walker_jax.figures.text import count_noun, format_number
 from walker_jax.gaits.cycles import Gait
 
 LINEAR = 2.0
@@ -25,12 +25,12 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None, **style: Unpack[S
     those from `walker_jax.find_gaits`; failed searches are left out.
     """
     ax = axes_for(ax, style, 6.2, 6.7)
-    gaits = [gait for gait in gaits if gait.found]
+    gaits = sorted((one for one in gaits if one.found), key=lambda one: len(one.states))
     ax.add_patch(Circle((0, 0), 1, fc="#f2f2f2", ec=INK, lw=1, zorder=1))
     ax.axhline(0, color=INK, lw=0.4, zorder=1.5)
     ax.axvline(0, color=INK, lw=0.4, zorder=1.5)
     farthest = LINEAR
-    for gait in sorted(gaits, key=lambda gait: len(gait.states)):
+    for gait in gaits:
         values = np.asarray(gait.multipliers)
         parts = np.real(values), np.imag(values)
         farthest = max(farthest, np.abs(parts).max())
@@ -40,11 +40,11 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None, **style: Unpack[S
         limit = 2 * farthest
         half = max(1, np.log10(limit / LINEAR))  # the linear part has half of the width
         decades = [10.0**k for k in range(1, 20, max(1, round(half / 3))) if 10**k < limit]
-        ticks = [*(-one for one in decades[::-1]), -2, -1, 0, 1, 2, *decades]
+        ticks = [*(-one for one in decades[::-1]), -2.0, -1.0, 0.0, 1.0, 2.0, *decades]
         ax.set_xscale("symlog", linthresh=LINEAR, linscale=half)
         ax.set_yscale("symlog", linthresh=LINEAR, linscale=half)
         for axis in (ax.xaxis, ax.yaxis):
-            axis.set_ticks(ticks, [f"{one:g}".replace("-", "−") for one in ticks])
+            axis.set_ticks(ticks, [format_number(one, "g") for one in ticks])
     ax.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal", anchor="W")
     stable = sum(bool(gait.stable) for gait in gaits)
     handles = [

@@ -17,7 +17,6 @@ from walker_jax.figures import layout, regions, text
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of
 
 STAGES = (
     ("#a9bfe3", 8.5, "long steps"),
@@ -62,9 +61,9 @@ def optimisation(
 def basins_before_and_after(data: xr.Dataset) -> Figure:
     """Draw the basins before and after `walker_jax.optimise`, with colours as in `basin`."""
     check_optimum(data)
-    figure = layout.new_figure(11, 5.2)
-    draw_basins([*figure.subplots(1, 2)], data)
-    layout.figure_title(figure, text.walker_title(fixed_attributes(data)))
+    figure, panels = layout.new_panels(11, 5.2, 1, 2)
+    draw_basins(panels, data)
+    layout.figure_title(figure, fixed_title(data))
     return figure
 
 
@@ -101,10 +100,11 @@ def check_optimum(data: xr.Dataset) -> None:
     check_dataset(data, "optimum")
 
 
-def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
-    """Return only the attributes of an optimisation, without the free parameters."""
+def fixed_title(data: xr.Dataset) -> str:
+    """Return the walker and its fixed parameters."""
     changed = {f"walker_{name}" for name in results.free_parameters(data)}
-    return xr.Dataset(attrs={key: data.attrs[key] for key in data.attrs if key not in changed})
+    fixed = {key: data.attrs[key] for key in data.attrs if key not in changed}
+    return text.walker_title(xr.Dataset(attrs=fixed))
 
 
 def draw_optimisation(
@@ -174,13 +174,16 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         )
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
-    found = regions.with_one_basin(fate, fate == ATTRACTED, failures_of(data))
-    images, extent = regions.paint(found, fate.shape), regions.extent_of(data, x, y)
+    found, images = regions.paint_one_basin(data, fate, fate == ATTRACTED)
+    extent = regions.extent_of(data["fate_start"])
     names = results.free_parameters(data)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
         regions.show_image(ax, image, extent)
         values = text.parameter_values(dict(zip(names, data[side].values.tolist(), strict=True)))
-        title, note = f"{side.capitalize()}: {text.join_phrases(values)}", basin_note(data, side)
+        area, fixed = results.area_at(data, side), results.slice_coordinates(data)
+        words = [text.area_phrase(data, area)] if area is not None and area > 0 else []
+        words += [text.slice_phrase(fixed)] if fixed else []
+        title, note = f"{side.capitalize()}: {text.join_phrases(values)}", "; ".join(words)
         finish(ax, {}, title, note, x=x, y=y if side == "start" else "")
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
@@ -188,16 +191,9 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     layout.figure_legend(panels, map(regions.patch_of, found))
 
 
-def basin_note(data: xr.Dataset, side: str) -> str:
-    """Return the area of a basin, if it is known, and its slice, if it is in one."""
-    area, fixed = results.area_at(data, side), results.slice_coordinates(data)
-    words = [text.area_phrase(data, area)] if area is not None and area > 0 else []
-    return "; ".join([*words, *([text.slice_phrase(fixed)] if fixed else [])])
-
-
 def headline(data: xr.Dataset) -> str:
     """Return the walker, its fixed parameters, and the objective."""
-    return f"{text.walker_title(fixed_attributes(data))}: {objective_words(data)}"
+    return f"{fixed_title(data)}: {objective_words(data)}"
 
 
 def objective_words(data: xr.Dataset) -> str:

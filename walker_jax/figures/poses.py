@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 
-from walker_jax.figures.layout import figure_legend, figure_title, new_figure
-from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
+from walker_jax.figures.layout import figure_legend, figure_title, new_panels, write_beside
+from walker_jax.figures.style import BASINS, INK, SMALL, TITLE, failure_words
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
@@ -41,8 +41,7 @@ def step(data: xr.Dataset) -> Figure:
     """
     check_dataset(data, "walk")
     own = data.isel(frame=data["stride"].values == 0)
-    figure = new_figure(9, 6.4)
-    panels = figure.subplots(2, 3, sharex=True, sharey=True).flat
+    figure, panels = new_panels(9, 6.4, 2, 3, sharex=True, sharey=True)
     last, size = own.sizes["frame"] - 1, leg_size(data)
     shown = own.isel(frame=[round(share * last) for share in SHARES])
     places = np.concatenate([shown[name].values[:, 0] for name in ("stance", "hip", "swing")])
@@ -57,9 +56,8 @@ def step(data: xr.Dataset) -> Figure:
         draw_pose(ax, pose)
         if k == 1:
             write_part_names(ax, pose)
-        when = f"time {float(pose['time']):.2f}"
         note = {0: "just after heel strike", len(SHARES) - 1: ending}.get(k, "")
-        ax.set_title(when, loc="left", fontsize="medium", fontweight="bold")
+        ax.set_title(f"time {float(pose['time']):.2f}", fontsize="medium", **TITLE)
         ax.set_title(note, loc="right", fontsize=SMALL)
         ax.set(xlim=(left, right), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
         ax.set_axis_off()
@@ -67,7 +65,7 @@ def step(data: xr.Dataset) -> Figure:
         Line2D([], [], color=colour, lw=3, label=f"{name} leg")
         for name, colour in (("stance", INK), ("swing", SWING))
     ]
-    figure_legend(figure.axes, legs)
+    figure_legend(panels, legs)
     figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
     return figure
 
@@ -91,8 +89,8 @@ def draw_ground(ax: Axes, data: xr.Dataset) -> None:
     ax.add_patch(Polygon(to_level(np.concatenate([line, deep]), slope), fc=SOIL, ec="none"))
     ax.plot(*to_level(line, slope).T, color=GROUND, lw=1.2, zorder=1)
     ends = [np.stack([at, tops - drop], axis=1) for drop in (0, 0.05 * size)]
-    marks = np.stack([to_level(one, slope) for one in ends], axis=1)
-    ax.add_collection(LineCollection([*marks], colors=GROUND, lw=1, zorder=1))
+    marks = [*to_level(np.stack(ends, axis=1), slope)]
+    ax.add_collection(LineCollection(marks, colors=GROUND, lw=1, zorder=1))
 
 
 def leg_size(data: xr.Dataset) -> float:
@@ -112,7 +110,10 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
     angles = {"stance": float(pose["theta"]), "swing": float(pose["theta"] - pose["phi"])}
     if "swing_knee" in pose and "knee" in pose:
         angles["swing"] -= float(pose["knee"])
-    hip, floor = pose["hip"].values, ground_below(pose, pose["swing"].values[0])
+    hip, floor = pose["hip"].values, 0.0
+    if "footholds" in pose:  # at the one that is nearest to the swing foot
+        along, height = pose["footholds"].values.T
+        floor = float(height[np.abs(along - pose["swing"].values[0]).argmin()])
     hip = np.array([hip[0], max(hip[1], floor + HIP_HEIGHT * leg_size(pose))])
     joints = [pose[name].values for name in ("swing_knee", "swing") if name in pose]
     swing, turned = above_ground(np.stack([hip, *joints]), floor, radius)
@@ -156,15 +157,7 @@ def above_ground(
     return np.maximum(joints, [-np.inf, floor]), float(np.angle(change))
 
 
-def ground_below(pose: xr.Dataset, along: float) -> float:
-    """Return the height of the ground at a place; on rough ground, that of the nearest foothold."""
-    if "footholds" not in pose:
-        return 0.0
-    x, height = pose["footholds"].values.T
-    return float(height[np.abs(x - along).argmin()])
-
-
-def to_level(places: Float[np.ndarray, "n 2"], slope: float) -> Float[np.ndarray, "n 2"]:
+def to_level(places: Float[np.ndarray, "*n 2"], slope: float) -> Float[np.ndarray, "*n 2"]:
     """Turn places along the slope and normal to it until the horizontal is level."""
     c, s = np.cos(slope), np.sin(slope)
     return places @ np.array([[c, -s], [s, c]])
@@ -173,28 +166,30 @@ def to_level(places: Float[np.ndarray, "n 2"], slope: float) -> Float[np.ndarray
 def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
     """Write the names of the parts of the model beside one of its poses."""
     slope = float(pose.attrs["walker_slope"])
-    foot, hip = (to_level(pose[name].values[None], slope)[0] for name in ("stance", "hip"))
+    foot, hip = (to_level(pose[name].values, slope) for name in ("stance", "hip"))
     theta, phi = float(pose["theta"]), float(pose["phi"])
     leg, length, radius = leg_size(pose), pose.attrs["leg_length"], pose.attrs["foot_radius"]
-    up = to_level(np.array([[0.0, 0.9 * length]]), slope)[0]
+    up = to_level(np.array([0.0, 0.9 * length]), slope)
     ax.plot(*np.stack([foot, foot + up]).T, color=GROUND, lw=0.8, ls=(0, (5, 4)), zorder=2)
     upright, down = 90 - np.degrees(slope), 270 - np.degrees(slope)
     hanging = down + np.degrees(theta - phi)
-    for middle, size, begin, end, text, away in (
+    for middle, size, begin, end, symbol, away in (
         (foot, 0.72, upright, upright + np.degrees(theta), r"$\theta$", (13, -3)),
         (hip, 0.5, hanging, down + np.degrees(theta), r"$\phi$", (2, -10)),
     ):
         wide, half = 2 * size * length, np.radians((begin + end) / 2)
-        ax.add_patch(Arc(middle, wide, wide, theta1=begin, theta2=end, lw=1, zorder=8))
+        x, y = middle
+        ax.add_patch(Arc((x, y), wide, wide, theta1=begin, theta2=end, lw=1, zorder=8))
         at = middle + wide / 2 * np.array([np.cos(half), np.sin(half)])
-        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "large"}
-        ax.annotate(text, at, away, textcoords="offset points", **look)
+        write_beside(ax, symbol, at, away, ha="center", va="center", fontsize="large")
     # The paper's model has legs without mass, and point feet.
     paper = radius == 0 and "swing_knee" not in pose
-    look = {"textcoords": "offset points", "va": "center", "fontsize": SMALL}
-    ax.annotate("hip" + ", mass $M$" * paper, hip, (13, 6), **look)
-    ax.annotate("foot" + ", mass $m$" * paper, foot - [0, radius], (9, -13), **look)
-    ax.annotate("leg" + ", length $l$" * paper, (foot + hip) / 2, (10, 0), **look)
-    ax.annotate(f"slope $\\gamma$ = {slope:g}", (-0.6 * leg, -0.13 * leg), fontsize=SMALL)
-    look = {"arrowprops": {"arrowstyle": "->"}, "ha": "center", "fontsize": "large"}
+    for words, place, shift in (
+        ("hip" + ", mass $M$" * paper, hip, (13, 6)),
+        ("foot" + ", mass $m$" * paper, foot - [0, radius], (9, -13)),
+        ("leg" + ", length $l$" * paper, (foot + hip) / 2, (10, 0)),
+    ):
+        write_beside(ax, words, place, shift, va="center")
+    write_beside(ax, f"slope $\\gamma$ = {slope:g}", (-0.6 * leg, -0.13 * leg), (0, 0))
+    look: Any = {"arrowprops": {"arrowstyle": "->"}, "ha": "center", "fontsize": "large"}
     ax.annotate("$g$", (0.9, 0.45), (0.9, 0.67), "axes fraction", "axes fraction", **look)

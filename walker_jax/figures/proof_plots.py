@@ -1,16 +1,15 @@
 """Pictures of proved basins."""
 
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish, widened
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
-from walker_jax.storage.schema import check_dataset
 
 FATES = {
     1: ("walks for ever", BASINS[0]),
@@ -27,8 +26,7 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
 
     Cells are proved to walk for ever, or to fall, or are open.
     """
-    check_dataset(data, "proof")
-    ax = axes_for(ax, style)
+    ax = begin(ax, style, data, "proof")
     low, high = data["lower"].values, data["upper"].values
     width = (high - low) / data["count"].values / 2.0 ** data["level"].values[:, None]
     corner = low + data["place"].values * width
@@ -36,9 +34,9 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     for fate, (words, colour) in FATES.items():
         some = data["proved"].values == fate
         if some.any():
-            corners = corner[some, None] + square * width[some, None]
-            look: Any = {"facecolors": colour, "linewidths": 0, "label": words}
-            ax.add_collection(PolyCollection([*corners], **look))
+            corners = [*(corner[some, None] + square * width[some, None])]
+            cells = PolyCollection(corners, facecolors=colour, linewidths=0, label=words)
+            ax.add_collection(cells)
     factor, size = data["trap_factor"].values, float(data["trap_size"])
     curves = {"trap": (ellipse(data, size * np.linalg.inv(factor.T)), "-")}
     if radius := data.attrs["radius"]:
@@ -49,14 +47,16 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
         ax.plot(*curve.T, dashes, color=INK, lw=0.9, label=words)
     gait = ellipse(data, np.zeros((len(low), len(low))))[0]
     ax.plot(*gait, "o", ls="", ms=7, color=INK, mec="white", label="gait")
-    ends = np.concatenate([[low, high], *(curve for curve, _ in curves.values())])
-    beyond = 0.03 * np.ptp(ends, axis=0)
-    (left, bottom), (right, top) = ends.min(axis=0) - beyond, ends.max(axis=0) + beyond
+    shown = np.concatenate([[low, high], *(curve for curve, _ in curves.values())])
+    across, up = widened(np.stack([shown.min(axis=0), shown.max(axis=0)], axis=1), 0.03)
     x, y = data["axis"].values.tolist()
     # Where distances are those of the section, a disc is round.
-    equal = radius and y != "sum"
-    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal" if equal else "auto")
-    return finish(ax, style, walker_title(data), proof_note(data), x=x, y=y)
+    ax.set(xlim=across, ylim=up, aspect="equal" if radius and y != "sum" else "auto")
+    note = f"proved: all starts within {radius:.7g} walk for ever"
+    if not (data.attrs["all_walk"] and radius):
+        low, high = data.attrs["area_lower"], data.attrs["area_upper"]
+        note = f"proved: an area between {low:.6g} and {high:.6g} walks for ever"
+    return finish(ax, style, walker_title(data), note, x=x, y=y)
 
 
 def ellipse(data: xr.Dataset, shape: np.ndarray) -> np.ndarray:
@@ -65,11 +65,3 @@ def ellipse(data: xr.Dataset, shape: np.ndarray) -> np.ndarray:
     circle = np.stack([np.cos(turn), np.sin(turn)])
     states = data["trap_centre"].values[:, None] + shape @ circle
     return np.linalg.solve(data["shear"].values, states).T
-
-
-def proof_note(data: xr.Dataset) -> str:
-    """State the theorem, or the bounds on the area."""
-    if data.attrs["all_walk"] and data.attrs["radius"]:
-        return f"proved: all starts within {data.attrs['radius']:.7g} walk for ever"
-    low, high = data.attrs["area_lower"], data.attrs["area_upper"]
-    return f"proved: an area between {low:.6g} and {high:.6g} walks for ever"

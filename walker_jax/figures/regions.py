@@ -1,6 +1,6 @@
 """Regions of a grid in their colours: basins, failures, their letters, and their names."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,23 +11,16 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
 from walker_jax.basins.cell_classes import along_axis, failing_cells, large_basins, walking_cells
-from walker_jax.figures.layout import cell_edges, figure_of, width_of
-from walker_jax.figures.style import (
-    ARTEFACTS,
-    BASINS,
-    FAILURES,
-    INK,
-    LARGE,
-    OTHERS,
-    SMALL,
-    UNMATCHED,
-    failure_words,
-    points_of,
-)
-from walker_jax.figures.text import NO_BREAK, SYMBOLS
+from walker_jax.figures import style
+from walker_jax.figures.layout import figure_of, width_of
+from walker_jax.figures.style import BASINS, INK
+from walker_jax.figures.text import NO_BREAK, SYMBOLS, format_number
 from walker_jax.systems.outcomes import Outcome, failures_of, names_in
 
 Extent = tuple[float, float, float, float]
+"""Edges of a grid: left, right, low and high."""
+WRITTEN_COORDINATES = 3
+"""Most coordinates of a state that a legend has room for."""
 BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"
 
 
@@ -54,34 +47,33 @@ def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
         kind = f"basin of period {period}" if period else "basin without a period"
         found.append(Region(cells, colour, "A", BASIN if len(large) == 1 else kind))
     found += [
-        Region(walking.others, OTHERS, "", "other attractors", counted=True),
-        Region(walking.artefacts, ARTEFACTS, "", "artefacts of cell mapping", counted=True),
-        Region(walking.unmatched, UNMATCHED, "", UNMATCHED_WORDS, counted=True),
+        Region(walking.others, style.OTHERS, "", "other attractors", counted=True),
+        Region(walking.artefacts, style.ARTEFACTS, "", "artefacts of cell mapping", counted=True),
+        Region(walking.unmatched, style.UNMATCHED, "", UNMATCHED_WORDS, counted=True),
     ]
-    return with_failures(found, data["fate"].values, failures_of(data))
+    return with_failures(found, data, data["fate"].values)
 
 
-def with_one_basin(
-    fate: Int[np.ndarray, "*shape"],
-    basin: Bool[np.ndarray, "*shape"],
-    failures: Sequence[str],
-) -> list[Region]:
-    """Return the nonempty regions: the basin, walkers that converge elsewhere, and failures."""
+def paint_one_basin(
+    data: xr.Dataset, fate: Int[np.ndarray, "*shape"], basin: Bool[np.ndarray, "*shape"]
+) -> tuple[list[Region], UInt8[np.ndarray, "*shape 3"]]:
+    """Return the nonempty regions: a basin, walkers that converge elsewhere, failures; painted."""
     found = [
         Region(basin, BASINS[0], "A", BASIN),
-        Region((fate == Outcome.STRIDE) & ~basin, UNMATCHED, "", UNMATCHED_WORDS),
+        Region((fate == Outcome.STRIDE) & ~basin, style.UNMATCHED, "", UNMATCHED_WORDS),
     ]
-    return with_failures(found, fate, failures)
+    found = with_failures(found, data, fate)
+    return found, paint(found, fate.shape)
 
 
 def with_failures(
-    regions: list[Region], fate: Int[np.ndarray, "*shape"], failures: Sequence[str]
+    regions: list[Region], data: xr.Dataset, fate: Int[np.ndarray, "*shape"]
 ) -> list[Region]:
     """Add the regions of failures, and drop empty regions."""
-    cells = failing_cells(fate)
+    cells, own = failing_cells(fate), failures_of(data)
     failing = [
-        Region(cells[one], colour, letter, failure_words(one, failures), one == Outcome.UNDECIDED)
-        for one, (colour, letter, _) in FAILURES.items()
+        Region(cells[one], colour, letter, style.failure_words(one, own), one == Outcome.UNDECIDED)
+        for one, (colour, letter) in style.SIGNS.items()
         if one in cells
     ]
     return [region for region in (*regions, *failing) if region.cells.any()]
@@ -95,6 +87,11 @@ def paint(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*
     return image
 
 
+def largest(data: xr.Dataset) -> list[int]:
+    """Return the numbers of the attractors whose basins have colours of their own."""
+    return large_basins(data, len(BASINS))
+
+
 def draw_regions(
     ax: Axes, data: xr.Dataset, large: list[int] | None = None
 ) -> tuple[list[Region], Extent]:
@@ -102,40 +99,60 @@ def draw_regions(
 
     Returns them, and the edges of the grid.
     """
-    large = large_basins(data, len(BASINS)) if large is None else large
-    found = regions_of(data, large)
-    extent = extent_of(data, *map(str, data["fate"].dims))
+    found = regions_of(data, largest(data) if large is None else large)
+    extent = extent_of(data["fate"])
     show_image(ax, paint(found, data["fate"].shape), extent)
     return found, extent
 
 
-def extent_of(data: xr.Dataset, x: str, y: str) -> Extent:
-    """Return the edges of a grid: left, right, low and high."""
-    return (*cell_edges(data[x].values), *cell_edges(data[y].values))
+def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Return the outer edges of equal cells."""
+    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
+    return float(centres[0] - half), float(centres[-1] + half)
+
+
+def extent_of(cells: xr.DataArray) -> Extent:
+    """Return the outer edges of cells along their first two axes."""
+    x, y, *_ = cells.dims
+    return (*cell_edges(cells[x].values), *cell_edges(cells[y].values))
+
+
+def corners_of(extent: Extent, shape: tuple[int, ...]) -> list[Float[np.ndarray, " n"]]:
+    """Return the edges of all cells along each axis."""
+    ends = zip(np.reshape(extent, (2, 2)), shape, strict=True)
+    return [np.linspace(first, last, n + 1) for (first, last), n in ends]
 
 
 def show_image(ax: Axes, image: np.ndarray, extent: Extent, **look: Any) -> None:
-    """Draw an image of cells, the first axis along x."""
+    """Draw an image of cells, the first axis along x, on all of the axes."""
     look = {"interpolation": "auto", "rasterized": True} | look
     ax.imshow(image.swapaxes(0, 1), origin="lower", extent=extent, aspect="auto", **look)
+    ax.set(xlim=extent[:2], ylim=extent[2:])
+
+
+def axes_of(data: xr.Dataset) -> tuple[str, ...]:
+    """Return the axes of a basin."""
+    return tuple(map(str, data["fate"].dims))
 
 
 def place_states(
-    data: xr.Dataset, states: Float[np.ndarray, "n section"], axes: tuple[str, ...]
+    data: xr.Dataset, states: Float[np.ndarray, "n section"], axes: tuple[str, ...] = ()
 ) -> Float[np.ndarray, "n axes"]:
-    """Return the places of states on a picture with these axes."""
+    """Return the places of states on a picture with these axes, by default those of a basin."""
     section = names_in(data, "section")
     offsets = states - np.asarray(data.attrs.get("origin", 0.0))
-    return np.stack([along_axis(offsets, section, axis) for axis in axes], axis=-1)
+    return np.stack([along_axis(offsets, section, axis) for axis in axes or axes_of(data)], axis=-1)
 
 
-def cycle_of(data: xr.Dataset, number: int) -> Float[np.ndarray, "n section"]:
-    """Return the states of an attractor."""
-    return data["states"].sel(number=number).dropna("phase").values
-
-
-WRITTEN_COORDINATES = 3
-"""Most coordinates of a state that a legend has room for."""
+def attractors(
+    data: xr.Dataset, large: Sequence[int], axes: tuple[str, ...] = ()
+) -> Iterator[tuple[Float[np.ndarray, "n axes"], str, str]]:
+    """Yield places of the states of attractors, as `place_states` does, with signs and names."""
+    for number, marker in zip(large, style.MARKERS, strict=False):
+        own = data.sel(number=number)
+        cycle = own["states"].dropna("phase").values
+        name = attractor_name(data, int(own["period"]), cycle)
+        yield place_states(data, cycle, axes), marker, name
 
 
 def attractor_name(data: xr.Dataset, period: int, cycle: Float[np.ndarray, "n section"]) -> str:
@@ -145,15 +162,15 @@ def attractor_name(data: xr.Dataset, period: int, cycle: Float[np.ndarray, "n se
     names = [SYMBOLS.get(name, name) for name in names_in(data, "section")]
     if len(names) > WRITTEN_COORDINATES:
         return words
-    states = [f",{NO_BREAK}".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
-    shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
-    return f"{words}: ({', '.join(names)}) = {shown}{', …' * (len(states) > 2)}"
+    states = ([format_number(one, ".4f") for one in state] for state in cycle[:2].tolist())
+    shown = ", ".join(f"({f',{NO_BREAK}'.join(values)})" for values in states)
+    return f"{words}: ({', '.join(names)}) = {shown}{', …' * (len(cycle) > 2)}"
 
 
 def mark_attractor(ax: Axes, dots: Float[np.ndarray, "n 2"], marker: str, label: str = "") -> None:
     """Draw the states of an attractor."""
-    style = {"color": INK, "mec": "white", "mew": 1.2, "ms": 7.5, "zorder": 5}
-    ax.plot(*dots.T, marker, ls="", label=label, **style)
+    look: Any = {"color": INK, "mec": "white", "mew": 1.2, "ms": 7.5, "zorder": 5}
+    ax.plot(*dots.T, marker, ls="", label=label, **look)
 
 
 def patch_of(region: Region, label: str = "") -> Patch:
@@ -175,27 +192,24 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
     """
     cells = region.cells & free
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
-    size = np.multiply(
-        ax.bbox.size, 0.8 * 72 / figure_of(ax).dpi
-    )  # the rest is for title and legend
+    share = 0.8  # of the axes; the rest is for title and legend
+    size = np.multiply(ax.bbox.size, share * 72 / figure_of(ax).dpi)
     low, high = np.array(extent[::2]), np.array(extent[1::2])
-    red, green, blue = to_rgb(region.colour)
-    dark = 0.3 * red + 0.59 * green + 0.11 * blue < 0.5
+    dark = np.dot(to_rgb(region.colour), (0.3, 0.59, 0.11)) < 0.5
     look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
-    letter, words = (region.letter, LARGE, "bold"), (region.words, SMALL, "normal")
+    letter, words = (region.letter, style.LARGE, "bold"), (region.words, style.SMALL, "normal")
     for lines in ([letter, words], [letter]) if region.letter else ([words],):
         wide = 72 * max(width_of(*line) for line in lines)
-        tall = sum(1.2 * points_of(font) for _, font, _ in lines)
+        tall = sum(1.2 * style.points_of(font) for _, font, _ in lines)
         # The ellipse within the box of the words fits where its centre is deeper than 1.
         depth = depths(cells, 2 * size / np.array((wide, tall)) / cells.shape)
-        if depth.max() < 1:
-            continue
-        deepest = np.argwhere(depth == depth.max())
-        place = low + (deepest[len(deepest) // 2] + 0.5) / cells.shape * (high - low)
-        for (text, font, weight), side in zip(lines, ("bottom", "top"), strict=False):
-            look |= {"va": side if len(lines) == 2 else "center", "size": font, "weight": weight}
-            ax.annotate(text, place.tolist(), **look)
-        return lines[-1] is words
+        if depth.max() >= 1:
+            deepest = np.argwhere(depth == depth.max())
+            place = low + (deepest[len(deepest) // 2] + 0.5) / cells.shape * (high - low)
+            sides = ("bottom", "top") if len(lines) == 2 else ("center",)
+            for (text, font, weight), side in zip(lines, sides, strict=True):
+                ax.annotate(text, place.tolist(), va=side, size=font, weight=weight, **look)
+            return lines[-1] is words
     return False
 
 

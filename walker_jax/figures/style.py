@@ -10,13 +10,7 @@ from typing import Any
 from matplotlib import rcParams
 from matplotlib.font_manager import FontProperties
 
-from walker_jax.systems.outcomes import (
-    OUTCOMES,
-    OWN,
-    Outcome,
-    name_of_outcome,
-    outcome_in_words,
-)
+from walker_jax.systems.outcomes import OUTCOMES, OWN, Outcome, name_of_outcome, outcome_in_words
 
 INK = "#1a1a1a"
 SIGNS = {
@@ -37,8 +31,6 @@ OWN_COLOURS = "#a782ef", "#9a0344", "#755967", "#164537"
 SIGNS |= {Outcome(OWN + i): (OWN_COLOURS[i % 4], "") for i in range(OUTCOMES - OWN)}
 """Colour and letter of each failure (Schwab and Wisse 2001, Figure 2), from light to dark; last
 come a system's own failures."""
-FAILURES = {one: (*signs, outcome_in_words(one.name)) for one, signs in SIGNS.items()}
-"""Colour, letter and words of each failure."""
 
 
 def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
@@ -69,19 +61,13 @@ LONGER = ("#9c9c9b", "*")
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
 """Lines of stable and of unstable gaits."""
+LEVEL: dict[str, Any] = {"color": INK, "lw": 0.8, "zorder": 1}
+"""Line at a value that separates two cases, such as a multiplier of 1."""
 LARGE, NOTE, SMALL = "x-large", "medium", "small"
 """Sizes of text, relative to `rcParams`: letters of regions, second lines of titles, and the
 rest."""
 TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
-SHEET: Any = {
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "legend.loc": "upper left",
-    "legend.frameon": False,
-    "legend.borderpad": 0,
-    "legend.borderaxespad": 0,
-}
-"""Style sheet of titles and legends."""
+"""Place and weight of titles of axes."""
 
 
 def points_of(size: str) -> float:

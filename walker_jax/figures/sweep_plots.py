@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.figures import layout, text
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.style import BASINS, INK, LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
@@ -26,30 +25,28 @@ def sweep(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
 
     Over one, with its error. Parameters after the second are at their first values.
     """
-    check_dataset(data, "sweep")
-    ax = axes_for(ax, style, 7, 4.8)
+    ax = begin(ax, style, data, "sweep", 7, 4.8)
     others = [str(name) for name in data["total_area"].dims[2:]]
     sizes = data[["total_area", "total_area_error"]].isel(dict.fromkeys(others, 0))
     sizes = sizes.sortby(list(sizes["total_area"].dims))  # values may come in any order
     area, error = sizes["total_area"], sizes["total_area_error"]
     solid = data["fate"].ndim == data["total_area"].ndim + 3
-    words = text.VOLUME_LABEL if solid else text.AREA_LABEL
-    words = words if has_known_units(data) else words.partition(" (")[0]
-    x, y, bars = str(area.dims[0]), words, []
+    words = text.known_label(data, text.VOLUME_LABEL if solid else text.AREA_LABEL)
+    x, y, bar = str(area.dims[0]), words, None
     if area.ndim == 1:
         ax.errorbar(area[x], area, error, fmt="o-", ms=5, color=BASINS[0], capsize=3)
         layout.show_from_zero(ax, area[x].values.astype(float))
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(area[x], area[y], area.T, cmap="viridis", rasterized=True)
-        bars = [layout.figure_of(ax).colorbar(image, ax=ax, label=words).ax]
+        bar = image, words
         if min(area.shape) > 1:  # cells at the ends reach beyond the values
             ax.set(xlim=area[x].values[[0, -1]], ylim=area[y].values[[0, -1]])
     fixed = text.parameter_values({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())
     note = text.join_phrases([f"{shape} basins", *fixed, *[f"{failed} failed"] * (failed > 0)])
-    return finish(ax, style, text.walker_title(data), note, x=x, y=y, beside=bars)
+    return finish(ax, style, text.walker_title(data), note, x=x, y=y, bar=bar)
 
 
 def basin_fractions(data: xr.Dataset) -> Figure:
@@ -60,8 +57,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     lines are the bifurcations of their branches.
     """
     check_dataset(data, "basin fractions")
-    figure = layout.new_figure(7.4, 6.4)
-    above, below = figure.subplots(2, 1, sharex=True)
+    figure, (above, below) = layout.new_panels(7.4, 6.4, 2, 1, sharex=True)
     value, periods = data["value"].values, data["period"].values.tolist()
     colours, states = colours_of(periods), data["states"].isel(coordinate=0).values
     for i, colour in enumerate(colours):

@@ -16,26 +16,21 @@ from walker_jax.walkers.family import WALKERS
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
 VOLUME_LABEL = "volume of the basin (rad³·g/l)"
 RADIUS = "modulus of the largest multiplier"
-SYMBOLS = {
-    "sum": r"$\theta + \dot{\theta}$",
-    "theta": r"$\theta$",
-    "thetadot": r"$\dot{\theta}$",
-    "phi": r"$\varphi$",
-    "phidot": r"$\dot{\varphi}$",
-    "yawdot": "rate of yaw",
-    "leandot": "rate of lean",
+RATE = "(rad / √(l/g))"
+COORDINATES = {
+    "theta": (r"$\theta$", "stance leg angle ", "(rad)"),
+    "thetadot": (r"$\dot{\theta}$", "stance leg rate ", RATE),
+    "sum": (r"$\theta + \dot{\theta}$", "", "(rad, time in √(l/g))"),
+    "phi": (r"$\varphi$", "angle between the legs ", "(rad)"),
+    "phidot": (r"$\dot{\varphi}$", "rate between the legs ", RATE),
+    "yaw": ("yaw", "", "(rad)"),
+    "yawdot": ("rate of yaw", "", RATE),
+    "leandot": ("rate of lean", "", RATE),
+    "slope": ("slope", "", "(rad)"),
 }
-AXIS_LABELS = {
-    "theta": r"stance leg angle $\theta$ (rad)",
-    "thetadot": r"stance leg rate $\dot{\theta}$ (rad / √(l/g))",
-    "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
-    "phidot": r"rate between the legs $\dot{\varphi}$ (rad / √(l/g))",
-    "phi": r"angle between the legs $\varphi$ (rad)",
-    "yaw": "yaw (rad)",
-    "yawdot": "rate of yaw (rad / √(l/g))",
-    "leandot": "rate of lean (rad / √(l/g))",
-    "slope": "slope (rad)",
-}
+"""Symbols of coordinates and parameters, words before the symbol on an axis, and units after it."""
+SYMBOLS = {name: symbol for name, (symbol, _, _) in COORDINATES.items()}
+AXIS_LABELS = {name: f"{words}{one} {unit}" for name, (one, words, unit) in COORDINATES.items()}
 METHOD_NAMES = {
     "cell-map": "cell mapping",
     "direct": "direct iteration",
@@ -57,12 +52,9 @@ def walker_title(data: xr.Dataset) -> str:
     name = str(data.attrs.get("walker", "Walker"))
     known = (kind for kind in (*WALKERS.values(), *SYSTEMS.values()) if kind.__name__ == name)
     usual = {f"walker_{one.name}": one.default for kind in known for one in fields(kind)}
+    own = {key: value for key, value in data.attrs.items() if key.startswith("walker_")}
     values = parameter_values(
-        {
-            key.removeprefix("walker_"): value
-            for key, value in data.attrs.items()
-            if key.startswith("walker_") and value != usual.get(key)
-        }
+        {key.removeprefix("walker_"): own[key] for key in own if own[key] != usual.get(key)}
     )
     shown = values[:MOST_PARAMETERS] + ["…"] * (len(values) > MOST_PARAMETERS)
     return join_phrases([name, *shown])
@@ -94,6 +86,16 @@ def basin_note(data: xr.Dataset) -> str:
     return note if data["fate"].ndim != 2 or not area > 0 else f"{note}; {area_phrase(data, area)}"
 
 
+def known_label(data: xr.Dataset, label: str) -> str:
+    """Return the label of a measure, without its unit if that is not known."""
+    return label if has_known_units(data) else label.partition(" (")[0]
+
+
+def format_number(value: float, form: str) -> str:
+    """Format a number, with the sign of a minus rather than a hyphen."""
+    return f"{value:{form}}".replace("-", "−")
+
+
 def with_error(value: float, error: float) -> str:
     """Format a number to the digits that its standard error leaves, with that error."""
     if not 0 < error < math.inf:
@@ -108,9 +110,9 @@ def slice_phrase(fixed: Mapping[str, float]) -> str:
     return join_phrases([f"in the slice at {values[0]}", *values[1:]])
 
 
-def coordinate_value(name: str, value: float) -> str:
+def coordinate_value(name: str, value: float, form: str = ".4g") -> str:
     """Format a coordinate with its value."""
-    return f"{SYMBOLS.get(name, name)} = {value:.4g}".replace("-", "−")
+    return f"{SYMBOLS.get(name, name)} = {format_number(value, form)}"
 
 
 def area_phrase(data: xr.Dataset, area: float) -> str:

@@ -15,11 +15,11 @@ from walker_jax.basins.cell_classes import total_area
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.figures import regions
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_of, finish
+from walker_jax.figures.layout import DrawnAxes, Style, begin, finish
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import coordinate_value, count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of, names_in
+from walker_jax.systems.outcomes import names_in
 
 SHARES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
 """Colours of shares of safe actions, darker for more; also readable in grey."""
@@ -46,13 +46,11 @@ def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) 
     colour of the failure that no choice of actions prevents. Lines are the target's boundary and
     the bounds of the kernel.
     """
-    check_dataset(data, "viability")
+    ax = begin(ax, style, data, "viability")
     data, place = middle_plane(data)
     kernel, actions = data["viable"].values, data.sizes["action_number"]
-    ax = axes_for(ax, style)
-    x, y = map(str, data["viable"].dims)
-    extent = regions.extent_of(data, x, y)
-    failing = regions.with_failures([], data["failure"].values, failures_of(data))
+    extent = regions.extent_of(data["viable"])
+    failing = regions.with_failures([], data, data["failure"].values)
     image = regions.paint(failing, kernel.shape)
     share = data["safe_actions"].values / actions
     scale = ScalarMappable(Normalize(0, max(share.max(), 1 / actions)), SHARES)
@@ -62,9 +60,9 @@ def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) 
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
     for name, cells in drawn.items():
         draw_boundary(ax, BOUNDS[name], cells, extent)
-    bar = figure_of(ax).colorbar(scale, ax=ax, label="share of safe actions")
-    note, patches = viability_note(data) + place, map(regions.patch_of, failing)
-    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches, beside=[bar.ax])
+    bar, patches = (scale, "share of safe actions"), map(regions.patch_of, failing)
+    note, (x, y) = viability_note(data) + place, map(str, data["viable"].dims)
+    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches, bar=bar)
 
 
 def capturability(
@@ -85,21 +83,16 @@ def capturability(
     - `basins`: up to three data sets of `walker_jax.basin` on the same grid, by name, such as those
       of walkers with feedback or with a `Policy`.
     """
-    check_dataset(data, "viability")
+    ax = begin(ax, style, data, "viability")
     plane, place = middle_plane(data)
     around = checked_basins(data, {} if basins is None else basins)
-    ax = axes_for(ax, style)
-    x, y = map(str, plane["viable"].dims)
-    extent = regions.extent_of(plane, x, y)
-    capture, viable = plane["capture"].values, plane["viable"].values
-    sets = [capture == n for n in range(MOST_STRIDES)]
-    sets += [capture >= MOST_STRIDES, viable & (capture < 0), ~viable & (capture < 0)]
+    extent, (x, y) = regions.extent_of(plane["viable"]), map(str, plane["viable"].dims)
     found = [
         regions.Region(cells, colour, "", words)
-        for cells, colour, words in zip(sets, COLOURS, areas_of_capture(data), strict=True)
+        for cells, colour, words in zip(capture_sets(plane), COLOURS, set_names(data), strict=True)
         if words
     ]
-    regions.show_image(ax, regions.paint(found, viable.shape), extent)
+    regions.show_image(ax, regions.paint(found, plane["viable"].shape), extent)
     for (words, basin), look in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
         named = f"{words}: {total_area(basin):.3g}", *look
@@ -108,21 +101,23 @@ def capturability(
     return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches)
 
 
-def areas_of_capture(data: xr.Dataset) -> list[str]:
-    """Label each set with its area, those before included; empty for a set without cells."""
+def capture_sets(data: xr.Dataset) -> list[Bool[np.ndarray, "*shape"]]:
+    """Return the cells of the target, of each number of strides, viable ones, and all others."""
     capture, viable = data["capture"].values, data["viable"].values
-    most, cell = int(capture.max()), grid_of(data).cell_area
-    within = lambda n: f"{((capture >= 0) & (capture <= n)).sum() * cell:.3g}"
-    words = {
-        f"target: {within(0)}": (capture == 0).any(),
-        **{
-            f"{count_noun(n, 'stride')}: {within(n)}": (capture == n).any()
-            for n in range(1, MOST_STRIDES)
-        },
-        f"up to {count_noun(most, 'stride')}: {within(most)}": most >= MOST_STRIDES,
-        f"viable: {viable.sum() * cell:.3g}": (viable & (capture < 0)).any(),
-    }
-    return [*(name if known else "" for name, known in words.items()), "bound to fail"]
+    sets = [capture == n for n in range(MOST_STRIDES)]
+    return [*sets, capture >= MOST_STRIDES, viable & (capture < 0), ~viable & (capture < 0)]
+
+
+def set_names(data: xr.Dataset) -> list[str]:
+    """Name each set with its area, those before included; empty for a set without cells."""
+    most, cell = int(data["capture"].max()), grid_of(data).cell_area
+    strides = [count_noun(n, "stride") for n in range(1, MOST_STRIDES)]
+    names = ["target", *strides, f"up to {count_noun(most, 'stride')}", "viable"]
+    *sets, _ = capture_sets(data)
+    areas = np.cumsum([cells.sum() for cells in sets]) * cell
+    found = zip(names, areas, sets, strict=True)
+    words = [f"{name}: {area:.3g}" if cells.any() else "" for name, area, cells in found]
+    return [*words, "bound to fail"]
 
 
 def checked_basins(data: xr.Dataset, basins: Mapping[str, xr.Dataset]) -> Mapping[str, xr.Dataset]:
@@ -149,9 +144,8 @@ def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, st
     """Return the plane of a data set that is drawn, and its place among three axes."""
     shown = data[name]
     if shown.ndim not in (2, 3) or min(shown.shape[:2]) < 2:
-        raise WrongUse(
-            f"data must be {name} over 2 x 2 cells or more, not over {dict(shown.sizes)}"
-        )
+        sizes = dict(shown.sizes)
+        raise WrongUse(f"data must be {name} over 2 x 2 cells or more, not over {sizes}")
     if shown.ndim == 2:
         return data, ""
     depth, middle = str(shown.dims[2]), shown.shape[2] // 2
@@ -170,10 +164,9 @@ def draw_boundary(
     if not cells.any():
         return
     around = np.pad(cells, 1).repeat(2, 0).repeat(2, 1)[1:-1, 1:-1]
-    ends = zip(np.reshape(extent, (2, 2)), cells.shape, strict=True)
-    places = [np.linspace(first, last, n + 1).repeat(2) for (first, last), n in ends]
-    style: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
-    ax.contour(*places, around.T.astype(float), levels=[0.5], **style)
+    places = [one.repeat(2) for one in regions.corners_of(extent, cells.shape)]
+    look: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
+    ax.contour(*places, around.T.astype(float), levels=[0.5], **look)
     on_white = "0.6" if colour == "white" else colour
     ax.plot([], [], label=words, color=on_white, lw=width, ls=kind)
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.basins.volumes import slice_basin
 from walker_jax.figures import layout, regions, text
-from walker_jax.figures.style import BASINS, MARKERS, OTHERS, TITLE
+from walker_jax.figures.style import BASINS, OTHERS, TITLE
 from walker_jax.storage.schema import check_dataset
 
 LIGHT = np.array([-0.3, 0.6, -0.74])
@@ -39,30 +39,30 @@ def volume(data: xr.Dataset) -> Figure:
     large = [i for i in np.argsort(-sizes, kind="stable")[: len(BASINS)].tolist() if sizes[i] > 0]
     cells = attractors_of(data)
     window = window_of(data, cells)
-    centre = window.mean(axis=1)
-    if large:
-        (centre,) = regions.place_states(data, regions.cycle_of(data, large[0])[:1], names)
+    attractors = [*regions.attractors(data, large, names)]
+    centre = attractors[0][0][0] if attractors else window.mean(axis=1)
     figure = layout.new_figure(10, 9)
     panels, patches = [], []
-    for panel, hidden in enumerate((2, 1, 0), start=1):
-        ax, depths = figure.add_subplot(2, 2, panel), data[names[hidden]].values
-        at = float(np.clip(centre[hidden], depths[0], depths[-1]))
-        plane = slice_basin(data, names[hidden], at)
-        x, y = (name for name in names if name != names[hidden])
+    for panel, (hidden, *shown) in enumerate(((2, 0, 1), (1, 0, 2), (0, 1, 2)), start=1):
+        ax, depth = figure.add_subplot(2, 2, panel), names[hidden]
+        depths = data[depth].values
+        plane = slice_basin(data, depth, float(np.clip(centre[hidden], depths[0], depths[-1])))
         found, _ = regions.draw_regions(ax, plane, large)
         patches += map(regions.patch_of, found)
-        for number, marker in zip(large, MARKERS, strict=False):
-            cycle = regions.cycle_of(data, number)
-            name = regions.attractor_name(data, int(data["period"][number]), cycle)
-            dots = regions.place_states(data, cycle, (x, y))
-            regions.mark_attractor(ax, dots, marker, name)
-        ax.set(xlim=window[names.index(x)], ylim=window[names.index(y)])
-        place = text.coordinate_value(names[hidden], float(plane[names[hidden]]))
+        for dots, marker, name in attractors:
+            regions.mark_attractor(ax, dots[:, shown], marker, name)
+        ax.set(xlim=window[shown[0]], ylim=window[shown[1]])
+        place = text.coordinate_value(depth, float(plane[depth]))
+        x, y = (names[i] for i in shown)
         layout.finish(ax, {"legend": False}, f"Slice at {place}", x=x, y=y)
         panels.append(ax)
     draw_surface(figure, data, cells, large, window)
     layout.figure_title(figure, text.walker_title(data))
-    layout.figure_legend(panels, patches, volume_note(data))
+    shape = " × ".join(str(data.sizes[name]) for name in names)
+    size = text.with_error(float(data["total_area"]), float(data["total_area_error"]))
+    unit = " rad³·g/l" if has_known_units(data) else ""
+    note = f"direct iteration, refined, on {shape} cells; basin volume {size}{unit}"
+    layout.figure_legend(panels, patches, note)
     return figure
 
 
@@ -116,11 +116,3 @@ def draw_surface(
     size = (150 / (1 + shown)) ** 2  # of a square as large as a cell, in points squared
     look: Any = {"marker": "s", "linewidths": 0, "depthshade": False, "s": size}
     ax.scatter(*places[:, inside], c=colours[inside], **look)
-
-
-def volume_note(data: xr.Dataset) -> str:
-    """Return the method, the number of cells, and the volume of a basin with its error."""
-    shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
-    size = text.with_error(float(data["total_area"]), float(data["total_area_error"]))
-    unit = " rad³·g/l" if has_known_units(data) else ""
-    return f"direct iteration, refined, on {shape} cells; basin volume {size}{unit}"

@@ -7,7 +7,7 @@ of the code. They are found by a hash of all that a trace depends on:
 - the function, the shapes and types of its arguments, and the static parts of these;
 - the settings of JAX under which it is traced;
 - the code of this package that it reaches, and all that this reads but caches and values for a call
-  alone (`globals_of`), as it is in this process: what is replaced at run time is traced anew;
+  alone (`ContextVar`), as it is in this process: what is replaced at run time is traced anew;
 - the package's source files, as they were when loaded, and the versions of the packages it uses.
 
 Functions and classes of other packages, including a user's own walkers, are traced in each process.
@@ -21,6 +21,7 @@ import platform
 import sys
 import types
 from collections.abc import Callable, Hashable, Sequence
+from contextvars import ContextVar
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -32,9 +33,12 @@ from walker_jax.identity import (
     ADDRESS,
     DEFINED,
     MOST,
+    Cache,
     Describer,
     Description,
     FunctionByCode,
+    globals_named,
+    names_used,
     sha256_of,
 )
 from walker_jax.kernels.machine import register_bits
@@ -46,7 +50,6 @@ from walker_jax.origins import (
     USED,
     home_of,
     is_known_module,
-    is_own,
     top_of,
 )
 
@@ -106,11 +109,16 @@ class ReachedCode(Describer):
 
     here = False
 
-    def opens(self, definition: Any) -> bool:
-        home = home_of(definition)
-        return is_own(home) or top_of(home) == PACKAGE
+    def looks_into(self, definition: Any) -> bool:
+        return super().looks_into(definition) or top_of(home_of(definition)) == PACKAGE
 
-    def name(self, definition: Any) -> Hashable:
+    def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
+        """Of code of this package, leave out values for a call alone."""
+        if super().looks_into(function):
+            return super().globals_of(function)
+        return globals_named(function, names_used(function.__code__), Cache | ContextVar)
+
+    def name_definition(self, definition: Any) -> Hashable:
         return tuple(getattr(definition, f"__{name}__", None) for name in ("module", "qualname"))
 
     def describe_object(self, value: Any) -> Hashable:
@@ -118,7 +126,7 @@ class ReachedCode(Describer):
             return None  # they keep their texts once asked, and paths are of one machine
         return super().describe_object(value)
 
-    def itself(self, value: Any) -> Hashable:
+    def identify(self, value: Any) -> Hashable:
         if not is_known_module(home_of(type(value))):
             raise Unknown
 
@@ -135,9 +143,9 @@ def user_code_states(function: Callable, structure: Any) -> tuple[Hashable, ...]
     describer = Describer()
     describer.describe(function)
     definitions = (one for one in describer.found if isinstance(one, DEFINED))
-    functions = (function,) if any(map(describer.opens, definitions)) else ()
+    functions = (function,) if any(map(describer.looks_into, definitions)) else ()
     held = *classes_of(structure), *static_functions(structure)
-    own = *functions, *filter(describer.opens, held)
+    own = *functions, *filter(describer.looks_into, held)
     return shared(Describer().describe(*own)) if own else ()
 
 
@@ -153,10 +161,10 @@ def user_system_in(structure: Any) -> str | None:
 
     It is that of the system's class, or of a function that the system holds, such as a map's.
     """
-    opens = Describer().opens
+    looks_into = Describer().looks_into
     systems = [one for one in classes_of(structure) if hasattr(one, "advance")]
     held = static_functions(structure) if systems else ()
-    own = (one for one in (*systems, *held) if opens(one))
+    own = (one for one in (*systems, *held) if looks_into(one))
     return next((getattr(one, "__qualname__", type(one).__qualname__) for one in own), None)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from walker_jax.storage.schema import variables_of_kind, with_dims
+from walker_jax.storage.schema import KINDS, with_dims
 from walker_jax.systems.outcomes import failures_of, name_of_outcome
 from walker_jax.systems.system import System
 
@@ -60,13 +60,15 @@ FIELDS = ("note", *(name for group in GROUPS for name in group.values()))
 To add one, compute it in `measure_gait`, put it in a group here, from which JSON and sweeps take
 it, and in `storage/kinds.toml`.
 """
-KINDS = variables_of_kind("robustness")
+VARIABLES = KINDS["robustness"].variables
 TYPES = {"real": float, "integer": int}
 
 
 def variables(group: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the variables of a group, given values by its keys."""
-    typed = {name: np.asarray(values[key], TYPES[KINDS[name].type]) for key, name in group.items()}
+    typed = {
+        name: np.asarray(values[key], TYPES[VARIABLES[name].type]) for key, name in group.items()
+    }
     return with_dims("robustness", typed)
 
 
@@ -74,7 +76,9 @@ def without_gait(walker: System) -> dict:
     """Return the variables that `robustness` adds where no gait attracts."""
     unknown = {"real": np.nan, "integer": -1, "text": np.array("", object)}
     state = "coordinate", np.full(len(walker.section), np.nan)
-    values = {name: state if KINDS[name].dims else unknown[KINDS[name].type] for name in FIELDS}
+    values = {
+        name: state if VARIABLES[name].dims else unknown[VARIABLES[name].type] for name in FIELDS
+    }
     return values | {"gait_period": 0}
 
 
@@ -108,7 +112,7 @@ def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
 
 def value_of(data: xr.Dataset, name: str) -> Any:
     """Return the value of a variable; None for no outcome."""
-    value, kind = data[name].values, KINDS[name]
+    value, kind = data[name].values, VARIABLES[name]
     if kind.dims:
         return value
     if name.endswith("failure"):

@@ -5,8 +5,8 @@ result again; any other request is refused the place, unless it is told to overw
 
 A run reserves its place by a lock in a hidden folder beside it (`runs`), writes there, and renames
 the whole into place (`datasets`), or writes piece by piece and completes it at the end (`pieces`).
-Chunks and metadata have checksums (`checksums`), which readers check (`reading`); what fails is
-named, and may be overwritten if it is still known as a data set of this package (`damage`).
+Chunks and metadata have checksums (`damage`), which readers check (`reading`); what fails is named,
+and may be overwritten if it is still known as a data set of this package.
 `schema` has the kinds of data sets, and `tables` copies them for other programs.
 """
 

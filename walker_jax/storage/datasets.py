@@ -5,13 +5,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from walker_jax.storage.checksums import seal, with_checksums
-from walker_jax.storage.damage import Damaged
+from walker_jax.storage.damage import Damaged, seal, write_dataset
 from walker_jax.storage.places import (
-    ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
     StoreConflict,
     check_writable,
+    foreign,
     resolve_link,
     scratch_folder,
     writing,
@@ -54,9 +53,7 @@ def result_at(path: Path, request: dict, overwrite: bool) -> "xarray.Dataset | N
             return data
     check_writable(path)
     if data is None and path.exists():
-        raise StoreConflict(
-            f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
-        )
+        raise foreign(path)
     return None
 
 
@@ -84,9 +81,7 @@ def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset]
     def save_again(data: "xarray.Dataset") -> "xarray.Dataset":
         data = data.assign_attrs(request=canonical_json(request))
         with writing(path):
-            with_checksums(data).to_zarr(
-                folder / "new", consolidated=False, write_empty_chunks=True
-            )
+            write_dataset(data, folder / "new")
             seal(folder / "new")
             move_into_place(folder, path)
         return data

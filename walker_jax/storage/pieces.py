@@ -16,23 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from walker_jax.checks import NotWritten
-from walker_jax.storage.checksums import (
-    check_metadata,
-    codecs,
-    is_intact,
-    seal,
-    with_checksums,
-)
-from walker_jax.storage.damage import name_damage
-from walker_jax.storage.places import (
-    ANOTHER_PLACE,
-    RESUME_HINT,
-    StoreConflict,
-    check_writable,
-    open_group,
-    resolve_link,
-    writing,
-)
+from walker_jax.storage import damage, places
+from walker_jax.storage.places import RESUME_HINT, StoreConflict, open_group, writing
 from walker_jax.storage.requests import canonical_json, check_request
 from walker_jax.storage.runs import exclusive, move_into_place
 
@@ -102,7 +87,7 @@ class Pieces(NamedTuple):
 
         def is_there(array: Any, piece: int) -> bool:
             try:
-                return is_intact(self.chunk_file(array, piece).read_bytes())
+                return damage.is_intact((self.path / self.chunk_path(array, piece)).read_bytes())
             except OSError:
                 return False
 
@@ -116,16 +101,13 @@ class Pieces(NamedTuple):
     def read(self, name: str, piece: int) -> np.ndarray:
         """Read an array's part of a piece."""
         array = self.array(name)
-        with name_damage(
-            self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()
-        ):
+        with damage.name_damage(self.path, self.chunk_path(array, piece)):
             return np.asarray(array[self.at(piece)])
 
-    def chunk_file(self, array: Any, piece: int) -> Path:
-        """Return the file with an array's part of a piece."""
+    def chunk_path(self, array: Any, piece: int) -> str:
+        """Return the relative path of the file with an array's part of a piece."""
         place = self.place(piece)
-        chunk = *place, *[0] * (array.ndim - len(place))
-        return self.path / array.basename / array.metadata.encode_chunk_key(chunk)
+        return damage.chunk_path(array, (*place, *[0] * (array.ndim - len(place))))
 
     def write(self, piece: int, values: Mapping[str, Any], *, done: bool = False) -> None:
         """Write a piece's parts of some arrays; with `done`, the piece counts as written.
@@ -139,20 +121,18 @@ class Pieces(NamedTuple):
                 array = self.array(name)
                 shape = *(one.stop - one.start for one in at), *array.shape[len(at) :]
                 array[at] = np.reshape(values[name], shape) if name in values else array.fill_value
-                sync_to_disk(self.chunk_file(array, piece))
+                sync_to_disk(self.path / self.chunk_path(array, piece))
             if done:
                 self.array("written")[self.place(piece)] = 1
 
     def finish(self, data: "xarray.Dataset") -> None:
         """Add the data known only at the end. Auxiliary arrays go when the place is released."""
-        attributes = dict(self.group.attrs)
-        final = data.attrs | {"request": attributes["request"]}
-        data = with_checksums(data)
-        data.attrs = attributes
+        kept, data = dict(self.group.attrs), data.copy()
+        final, data.attrs = data.attrs | {"request": kept["request"]}, kept
         with writing(self.path):
-            data.to_zarr(self.path, mode="a", consolidated=False, write_empty_chunks=True)
+            damage.write_dataset(data, self.path, "a")
             # In one go, which completes the data set.
-            seal(self.path, final, without=(*self.aside, "written"))
+            damage.seal(self.path, final, without=(*self.aside, "written"))
 
 
 @contextmanager
@@ -183,27 +163,22 @@ def open_pieces(
     The place is reserved meanwhile. Raises `StoreConflict` if another process writes there, or
     something else is there, and `ValueError` if nothing can be written.
     """
-    path = resolve_link(path)
-    check_writable(path)
+    path = places.resolve_link(path)
+    places.check_writable(path)
     with exclusive(path) as folder:
         if overwrite or not path.exists():
-            kept = {
-                "request": canonical_json(request),
-                "unfinished": 1,
-                "notes": json.dumps(notes()),
-            }
+            kept = {"request": canonical_json(request), "unfinished": 1}
+            kept["notes"] = json.dumps(notes())
             with writing(path):
                 create_store(folder / "new", data.assign_attrs(kept), arrays, block)
                 move_into_place(folder, path)
         try:
-            check_metadata(path)
+            damage.check_metadata(path)
             group = open_group(path, "r+")
         except StoreConflict:
             raise
         except Exception as error:  # files written by other programs can fail in any way
-            raise StoreConflict(
-                f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
-            ) from error
+            raise places.foreign(path) from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
             raise StoreConflict(f"another run has just completed {path}: run again to read it")
@@ -221,7 +196,7 @@ def create_store(
     block: tuple[int, ...],
 ) -> None:
     """Create a store without any written piece."""
-    with_checksums(data).to_zarr(path, consolidated=False, write_empty_chunks=True)
+    damage.write_dataset(data, path)
     group = open_group(path, "r+")
     for name, array in arrays.items():
         group.create_array(
@@ -230,20 +205,15 @@ def create_store(
             chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
             dtype=str if array.dtype.kind == "U" else array.dtype,
             fill_value=array.values.flat[0],
-            compressors=codecs(),
+            compressors=damage.codecs(),
             dimension_names=[str(dim) for dim in array.dims],
             attributes=dict(array.attrs),
         )
     count = group[next(iter(arrays))].cdata_shape[: len(block)]
-    group.create_array(
-        "written",
-        shape=count,
-        chunks=(1,) * len(count),
-        dtype="int8",
-        dimension_names=[f"piece{i}" for i in range(len(count))],
-        compressors=codecs(),
-    )
-    seal(path)
+    one_each: Any = {"shape": count, "chunks": (1,) * len(count), "dtype": "int8"}
+    one_each["dimension_names"] = [f"piece{i}" for i in range(len(count))]
+    group.create_array("written", compressors=damage.codecs(), **one_each)
+    damage.seal(path)
 
 
 def sync_to_disk(file: Path) -> None:

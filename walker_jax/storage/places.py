@@ -20,6 +20,13 @@ RESUME_HINT = "run the same again"
 """Beginning of a note on an interruption that says how to resume the work."""
 
 
+def foreign(path: Path) -> StoreConflict:
+    """Return the refusal of a place that holds something of others."""
+    return StoreConflict(
+        f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
+    )
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn errors of the operating system while `path` is written into `NotWritten`."""

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import filelock
 
-from walker_jax.storage.checksums import check_metadata
-from walker_jax.storage.damage import is_own_array
+from walker_jax.storage.damage import check_metadata, is_own_array
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     StoreConflict,

@@ -12,7 +12,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from walker_jax.checks import WrongUse, is_number, short
-from walker_jax.storage.schema import attributes_of_kind, kind_of, variables_of_kind
+from walker_jax.storage.schema import KINDS, kind_of
 from walker_jax.systems.outcomes import names_in
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Units(NamedTuple):
         data = data.copy()
         for name, unit in units.items():
             data[name] = self.converted(data[name], unit, names_in(data, "section"))
-        for name, meaning in attributes_of_kind(kind).items():
+        for name, meaning in KINDS[kind].attributes.items():
             unit = meaning.rpartition("; ")[2]
             if name in data.attrs and is_unit(unit):
                 data.attrs[name] = data.attrs[name] * self.size(unit)
@@ -118,7 +118,7 @@ def units_of(data: "xarray.Dataset") -> dict[str, str]:
     section = names_in(data, "section")
     if section[:1] != ("theta",):
         return {}
-    known = {name: one.unit for name, one in variables_of_kind(kind_of(data)).items()}
+    known = {name: one.unit for name, one in KINDS[kind_of(data)].variables.items()}
     known |= dict(zip(section, units_of_section(section), strict=True))
     found = {name: unit for name, unit in known.items() if unit and name in data}
     if "fate" in data and {*section[2:]} & {*data["fate"].dims}:
