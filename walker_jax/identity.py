@@ -44,6 +44,10 @@ ALONE = np.ndarray | jax.Array | Field
 """Types that count as themselves in a process: large arrays, and what a class is made with."""
 DEFINED = types.FunctionType | type
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
+FIRST_CONSTANT = [
+    bytes((dis.opmap[name], 0)) for name in ("LOAD_CONST", "RETURN_CONST") if name in dis.opmap
+]
+"""Instructions that use the first constant of a code object."""
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 
 
@@ -112,13 +116,14 @@ class Describer:
         """Return a hashable form of a plain value or array, or the number of a description."""
         if type(value) in PLAIN:
             return type(value).__name__, repr(value)
+        if id(value) in self.numbers:
+            return self.numbers[id(value)]
         if (values := values_in(value, LARGEST if self.here else sys.maxsize)) is not None:
             return values
         if type(value) is tuple:  # inline, as equal ones may be one object in another process
             return "tuple", *map(self.refer_to, value)
-        if id(value) not in self.numbers:
-            self.numbers[id(value)] = len(self.found)
-            self.found.append(value)
+        self.numbers[id(value)] = len(self.found)
+        self.found.append(value)
         return self.numbers[id(value)]
 
     def describe_found(self, value: Any) -> Hashable:
@@ -240,7 +245,9 @@ def globals_named(function: types.FunctionType, read: list[str], left_out: Any) 
 
 
 def has_docstring(code: types.CodeType) -> bool:
-    """Return whether the first constant of a code object documents a function."""
+    """Return whether the first constant of a code object documents a function, and is not used."""
+    if any(use in code.co_code for use in FIRST_CONSTANT):
+        return False
     if sys.version_info >= (3, 13):
         return bool(code.co_flags & inspect.CO_HAS_DOCSTRING)
     # Earlier, the first constant of any other function that has a name is None.

@@ -1,7 +1,8 @@
-"""Shapes and types of the rooms in which strides are made, checked while strides are traced.
+"""Shapes and types of the rooms in which strides are made and gaits are found, checked once.
 
-Run-time checks of these rooms take an eighth of all processor time of the tests, as tracing calls
-each of their functions thousands of times. So one process has them on, and traces everything once.
+Run-time checks of these rooms take a quarter of all processor time of the tests, as each of their
+functions is called thousands of times. So one process has them on, traces every stride once, and
+searches in a map.
 """
 
 import inspect
@@ -12,7 +13,7 @@ import pytest
 
 import walker_jax as wj
 
-ROOMS = "hybrid", "multibody", "walkers", "walking"
+ROOMS = "gaits", "hybrid", "multibody", "systems", "walkers", "walking"
 PROGRAM = """
 import sys
 import jax
@@ -51,6 +52,12 @@ for walker, x in STARTS:
         functions += [lambda walker, x: wj.walk(walker, x, 2, ground=jnp.array([0.01, -0.01]))]
     for function in functions:
         jax.make_jaxpr(function)(walker, jnp.array(x))
+henon = wj.systems.HenonMap(0.1)
+gait = wj.find_gait(henon, [[0.7, 0.2]])
+wj.continue_gait(henon, "a", (0.1, 0.4))
+wj.bifurcation_diagram(henon, "a", (0.1, 0.4), period_max=2, strides=100, scan=20, exponents=50)
+wj.chart(henon, {"a": (0.1, 0.5), "b": (0.2, 0.4)}, gait, period_max=2, cells=(3, 3), strides=40)
+wj.lyapunov(henon, [0.7, 0.2], 50, walks=2)
 system = wj.PointFootWalker(0.01).system()
 q, rates = jnp.array([0.0, 0.0, 0.2, 0.3]), jnp.array([0.0, 0.0, -0.3, 0.1])
 for function in multibody.solve_motion, multibody.kinetic_energy:

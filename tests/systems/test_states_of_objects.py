@@ -239,6 +239,7 @@ def test_what_documents_code_does_not_count(kind):
     assert made("one", "f = lambda: 'one'") != made("one", "f = lambda: 'another'")
     if kind == "def f":
         assert made("one", "return 'one'") != made("one", "return 'another'")
+        assert made("one", "return 'one'") != made("two", "return 'two'")  # one constant for both
 
 
 def test_tables_of_the_package_count_and_caches_do_not():

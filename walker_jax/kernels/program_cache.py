@@ -113,7 +113,7 @@ class ReachedCode(Describer):
         return super().looks_into(definition) or top_of(home_of(definition)) == PACKAGE
 
     def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
-        """Of code of this package, leave out values for a call alone."""
+        """Leave out of the code of this package what is for a call alone."""
         if super().looks_into(function):
             return super().globals_of(function)
         return globals_named(function, names_used(function.__code__), Cache | ContextVar)
