@@ -19,7 +19,6 @@ import contextlib
 import dis
 import functools
 import hashlib
-import inspect
 import re
 import sys
 import types
@@ -44,9 +43,7 @@ ALONE = np.ndarray | jax.Array | Field
 """Types that count as themselves in a process: large arrays, and what a class is made with."""
 DEFINED = types.FunctionType | type
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
-FIRST_CONSTANT = [
-    bytes((dis.opmap[name], 0)) for name in ("LOAD_CONST", "RETURN_CONST") if name in dis.opmap
-]
+FIRST_CONSTANT = [bytes((code, 0)) for code in dis.hasconst if code < 256]
 """Instructions that use the first constant of a code object."""
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 
@@ -245,14 +242,9 @@ def globals_named(function: types.FunctionType, read: list[str], left_out: Any) 
 
 
 def has_docstring(code: types.CodeType) -> bool:
-    """Return whether the first constant of a code object documents a function, and is not used."""
-    if any(use in code.co_code for use in FIRST_CONSTANT):
-        return False
-    if sys.version_info >= (3, 13):
-        return bool(code.co_flags & inspect.CO_HAS_DOCSTRING)
-    # Earlier, the first constant of any other function that has a name is None.
-    named = code.co_flags & inspect.CO_NEWLOCALS and not code.co_name.startswith("<")
-    return bool(named and code.co_consts and isinstance(code.co_consts[0], str))
+    """Return whether the first constant is a text that no instruction uses: it documents."""
+    first = next(iter(code.co_consts), None)
+    return isinstance(first, str) and not any(use in code.co_code for use in FIRST_CONSTANT)
 
 
 @functools.lru_cache(MOST)
