@@ -94,7 +94,6 @@ def test_its_modes_make_a_stride_in_any_order(start):
         np.testing.assert_allclose(made, BOUND, atol=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("start", STARTS)
 def test_a_stride_in_any_order_is_that_of_another_integration(start):
     made = wj.stride(BOUNDER, start)

@@ -86,7 +86,6 @@ def test_its_modes_make_the_stride_of_other_equations(hopper, start):
     assert time == pytest.approx(expected, abs=2e-11)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("hopper", "start"), HOPS)
 def test_a_stride_is_that_of_another_integration(hopper, start):
     made = wj.stride(hopper, start)

@@ -82,7 +82,6 @@ def test_its_modes_make_the_stride_of_other_equations(walker, start):
     assert time == pytest.approx(expected, abs=2e-11)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("walker", "start"), STRIDES)
 def test_a_stride_is_that_of_another_integration(walker, start):
     made = wj.stride(walker, start)
