@@ -179,7 +179,7 @@ def half_period(amplitude):
 @pytest.mark.parametrize(
     "springs",
     [
-        ("square root of the modulus",),
+        ("two sides",),
         pytest.param(tuple(SPRINGS), marks=pytest.mark.slow),
     ],
 )

@@ -1,4 +1,4 @@
-"""Shapes and types of the rooms in which strides are made and gaits are found, checked once.
+"""Shapes and types of the rooms in which strides are made and gaits are found.
 
 Run-time checks of these rooms take a quarter of all processor time of the tests, as each of their
 functions is called thousands of times. So one process has them on, traces every stride once, and
@@ -33,10 +33,17 @@ LEGS, TRUNK = [0.3, -0.4], [0.3, -0.4, -0.1]
 STARTS = [
     (wj.SimplestWalker(0.01), LEGS),
     (wj.systems.HenonMap(), LEGS),
+    (wj.systems.StickSlip(), [1.0]),
 ]
 if sys.argv[1] == "all":
     STARTS += [
         (wj.systems.DuffingOscillator(), LEGS),
+        (wj.systems.BouncingBall(), [0.3, 0.2]),
+        (wj.systems.SpringMassRunner(), [1.0]),
+        (wj.systems.SpringMassBiped(), [0.9, 0.1]),
+        (wj.systems.RaibertHopper(), [1.4, 0.6]),
+        (wj.systems.BoundingQuadruped(), [1.04, 0.7, 0.0]),
+        (wj.systems.TorsoWheel(), TRUNK),
         (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
         (wj.UpperBodyWalker(0.01), TRUNK),
         (wj.KneedWalker(0.05, check_lock=True, check_scuffing=True), TRUNK),
