@@ -69,6 +69,12 @@ def test_a_file_fails_as_the_walker_of_its_masses(name):
     assert np.abs(strides.state[walked] - as_robot(expected.state[walked])).max() < 1e-9
 
 
+def test_five_links_with_motors_keep_the_gait_of_the_biped():
+    """To the eight digits in which it is given."""
+    made = wj.stride(robot_examples.five_link(), BIPED_GAIT)
+    np.testing.assert_allclose(made.state, BIPED_GAIT, rtol=0, atol=5e-8)
+
+
 @pytest.mark.slow
 def test_five_links_are_the_biped_that_is_written_by_hand():
     robot, biped = robot_examples.five_link(), systems.FiveLinkBiped()
