@@ -3,12 +3,13 @@
 The parts are
 
 - of a function, its code, defaults and closure, and the globals it reads, in modules too;
-- of a class, its bases and attributes, without what documents it, as of functions;
+- of a class, its bases and attributes;
 - of containers, arrays and plain values, their contents;
 - of any other object, its type and all its state, as pickle takes it; without state, itself.
 
-Installed code is that of Python, of this package and of other packages. What it makes at run time,
-such as a lambda, has no name of its own, and counts by its code, defaults and closure.
+Another text that documents a function or a class makes no difference. Installed code is that of
+Python, of this package and of other packages. What it makes at run time, such as a lambda, has no
+name of its own, and counts by its code, defaults and closure.
 
 A compiled program depends on its functions as they were when JAX traced them, and is used again
 while they are the same (`FunctionByCode`). Stores and traces on disk are so while the code of

@@ -35,6 +35,7 @@ def test_states_along_an_axis_are_where_the_grid_has_them():
     ):
         np.testing.assert_allclose(along_axis(states, section, name), expected, atol=1e-15)
     assert np.isnan(along_axis(states, section, "phidot")).all()
+    np.testing.assert_array_equal(along_axis(states, ["x", "sum"], "sum"), states[..., 1])
 
 
 def test_every_cell_is_in_one_class(data):

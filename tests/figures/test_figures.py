@@ -237,8 +237,17 @@ def test_a_saddle_is_drawn_with_its_ways_out():
     assert {"saddle", "gait of period 3", "on the way to a failure"} <= set(legend(ax))
     low, high = ax.get_xlim()
     assert low < 0.2 and high > 0.3 and "dimension 1.24" in ax.texts[0].get_text()
+    alone = figures.chaotic_saddle(found._replace(escapes=found.escapes[:0]))
+    assert legend(alone) == ["saddle"]
     with pytest.raises(ValueError, match="found must have two coordinates, not x"):
         figures.chaotic_saddle(found._replace(section=("x",)))
+
+
+def test_the_target_need_not_be_viable():
+    """Its cells are a quarter of the grid, and those of the kernel another one."""
+    data = VIABLE.assign(capture=xr.where(FATE == 1, 0, -1))
+    names = legend(figures.capturability(data))
+    assert names == ["target: 0.25", "viable: 0.25", "bound to fail"]
 
 
 def test_the_law_of_a_crisis_is_a_line_in_logarithms():

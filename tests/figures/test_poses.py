@@ -7,6 +7,7 @@ import pytest
 from matplotlib.animation import FFMpegWriter
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from parts_of_pictures import legend
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
@@ -106,6 +107,8 @@ def test_the_ground_goes_down_to_the_right(walk):
 
 
 def test_leg_angles_have_a_line_for_each_leg_and_mark_strikes(walk):
+    late = figures.leg_angles(walk.isel(frame=walk["stride"].values > 1))
+    assert legend(late) == ["stance leg", "swing leg"]
     ax = figures.leg_angles(walk)
     curves = [line for line in ax.lines if len(np.asarray(line.get_xdata())) > 2]
     assert len(curves) == 2 * 9

@@ -95,8 +95,8 @@ def along_axis(
     states: Float[np.ndarray, "... section"], section: Sequence[str], axis: str
 ) -> Float[np.ndarray, "..."]:
     """Return states along an axis of a grid, `sum` included; NaN along a foreign axis."""
+    if axis in section:
+        return states[..., list(section).index(axis)]
     if axis == "sum":
         return along_axis(states, section, "theta") + along_axis(states, section, "thetadot")
-    if axis not in section:
-        return np.full(states.shape[:-1], np.nan)
-    return states[..., list(section).index(axis)]
+    return np.full(states.shape[:-1], np.nan)

@@ -198,7 +198,7 @@ WALKING = Terms()
 
 def terms_of(system: "wj.System") -> Terms:
     """Return the words for motions of a system, which only walks if it is a walker or a robot."""
-    if isinstance(system, wj.Walker) or isinstance(system, lib.Robot):  # loaded if need be
+    if isinstance(system, wj.Walker) or isinstance(system, lib.Robot):
         return WALKING
     return Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
 

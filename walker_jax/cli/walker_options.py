@@ -95,6 +95,8 @@ class Chosen(NamedTuple):
 
         A parameter `over` which a command goes has its lowest value, and must not be given as well.
         """
+        from jax import device_put
+
         made: dict[str, Any] = {}
         for one in self.described:
             value, option = given.get(PREFIX + one.name), option_of(one.name)
@@ -112,7 +114,8 @@ class Chosen(NamedTuple):
                 value = low
             if value is None and math.isnan(one.default):
                 raise WrongUse(f"{option} is required: {self.name} has no default for it")
-            made[one.name] = one.convert(one.default if value is None else value)
+            # `asarray` of a float would be the first program of the process that XLA compiles.
+            made[one.name] = one.convert(device_put(one.default if value is None else value))
         kind = lib.WALKERS[self.name] if self.kind is None else self.kind
         return kind(**made) if isinstance(kind, type) else lib.with_values(kind, made)
 

@@ -196,8 +196,8 @@ def chaotic_saddle(
     y = "sum" if (x, y) == ("theta", "thetadot") else y
     place = lambda states: [along_axis(np.asarray(states), found.section, one) for one in (x, y)]
     ways = place(found.escapes[:ROUTES, -STRIDES:].swapaxes(0, 1))
-    first, *_ = ax.plot(*ways, "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)
-    first.set_label("on the way to a failure")
+    for line in ax.plot(*ways, "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)[:1]:
+        line.set_label("on the way to a failure")
     shown = [("saddle", found.saddle, BASINS[1])]
     shown += [] if attractor is None else [("attractor before the crisis", attractor, BASINS[2])]
     for order, (label, states, colour) in enumerate(shown, start=2):

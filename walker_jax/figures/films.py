@@ -25,7 +25,7 @@ from walker_jax.figures.regions import cell_edges, paint_one_basin, patch_of, pl
 from walker_jax.figures.style import INK, TITLE
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY
-from walker_jax.storage import atomic_file
+from walker_jax.storage import atomic_file, check_writable
 from walker_jax.storage.schema import check_dataset
 
 FILMS = (".gif", ".mp4")
@@ -162,6 +162,7 @@ def check_film(path: Path) -> None:
         raise WrongPlace(f"{path} must end in one of {', '.join(FILMS)}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
         raise WrongPlace(f"{path} takes the program ffmpeg, which is not installed: try .gif")
+    check_writable(path)
 
 
 @contextmanager

@@ -114,8 +114,9 @@ def set_names(data: xr.Dataset) -> list[str]:
     strides = [count_noun(n, "stride") for n in range(1, MOST_STRIDES)]
     names = ["target", *strides, f"up to {count_noun(most, 'stride')}", "viable"]
     *sets, _ = capture_sets(data)
-    areas = np.cumsum([cells.sum() for cells in sets]) * cell
-    found = zip(names, areas, sets, strict=True)
+    counts = np.cumsum([cells.sum() for cells in sets])
+    counts[-1] = data["viable"].values.sum()  # cells of the target need not be viable
+    found = zip(names, counts * cell, sets, strict=True)
     words = [f"{name}: {area:.3g}" if cells.any() else "" for name, area, cells in found]
     return [*words, "bound to fail"]
 

@@ -49,7 +49,7 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style])
         if number:
             ax.axvline(time[own][0], color=GROUND, lw=0.6, zorder=1)
         for name, angle, look in legs:
-            ax.plot(time[own], angle[own], label="" if number else name, **look)
+            ax.plot(time[own], angle[own], label=name if number == stride[0] else "", **look)
     if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
     title, y = f"{walker_title(data)}: leg angles", "angle from the normal of the slope (rad)"

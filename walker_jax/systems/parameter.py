@@ -31,7 +31,6 @@ class Parameter(NamedTuple):
 
     def convert(self, value: Any) -> Any:
         """Return the number, or the array, as an array; `ValueError` for one outside the bounds."""
-        import jax
         import jax.numpy as jnp
         import numpy as np
         from jax.core import Tracer
@@ -41,8 +40,7 @@ class Parameter(NamedTuple):
         kind = f"real numbers of shape {self.shape}" if self.shape else "one real number"
         refusal = f"{self.name} must be {kind}, not {short(value)}"
         try:
-            plain = isinstance(value, float)  # XLA would compile a program for it, its first
-            value = jax.device_put(value) if plain else jnp.asarray(value)
+            value = jnp.asarray(value)
         except (TypeError, ValueError, OverflowError):
             raise WrongUse(refusal, of=self.name) from None
         real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
