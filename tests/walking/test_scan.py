@@ -52,8 +52,9 @@ def test_records_have_derivatives_in_both_modes():
 
     for jacobian in (jax.jacfwd, jax.jacrev):
         np.testing.assert_array_equal(jacobian(follow)(0.1), [2, 4, 8])
-    # what comes after a failure has no derivatives
-    np.testing.assert_array_equal(jax.jacfwd(follow)(0.3), [2, np.nan, np.nan])
+        # what comes after a failure has no derivatives
+        np.testing.assert_array_equal(jacobian(follow)(0.3)[1:], np.nan)
+    assert jax.jacfwd(follow)(0.3)[0] == 2
 
 
 @pytest.mark.slow
