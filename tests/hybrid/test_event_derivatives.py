@@ -121,12 +121,13 @@ def test_the_time_of_an_event_is_differentiated(name):
 def test_the_adjoint_of_two_modes_and_a_reset(monkeypatch):
     """By the parameter of both modes and by the start, in a batch, also where no event happens."""
     monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
-    p, x = jnp.array([0.9, 1.5, 2.5, 0.4]), jnp.array([0.5, 0.8, 0.2, 0.6])
+    p, x = jnp.array([0.9, 1.5, 9.0, 0.4]), jnp.array([0.5, 0.8, 1e-3, 0.6])
     end = lambda p, x: wj.stride(Halved(p), x[None]).state[0]
     gradients = lambda end: jax.jit(jax.vmap(jax.grad(end, (0, 1))))(p, x)
     found, expected = gradients(end), gradients(halved_at_the_end)
-    made = [one for one, _ in program.programs.values() if one.owner == "Halved"]
-    assert any(one.adjoints for one in made)
+    known = [one for one, _ in program.programs.values() if one.owner == "Halved"]
+    made = [adjoint for one in known for adjoint in one.adjoints.values()]
+    assert made and all(made)  # or the columns of the Jacobian were computed instead
     np.testing.assert_allclose(found, expected, rtol=1e-11)
 
 
