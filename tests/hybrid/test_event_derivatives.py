@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.kernels import program, transposes
 
 
 class Timed(wj.HybridSystem):
@@ -66,6 +67,20 @@ class Decay(Timed):
         return {"fall": wj.Mode(falls, (turns,)), "rise": wj.Mode(rises, (self.over(),))}
 
 
+class Halved(Timed):
+    """u' = p u until u = 1, where u is halved, and u' = -p u from then on."""
+
+    def modes(self):
+        to = lambda rate: lambda state: (rate * state[0], 1 + 0 * state[1])
+        halved = wj.Guard(
+            lambda state: state[0] - 1, "after", reset=lambda state: (state[0] / 2, state[1])
+        )
+        return {
+            "before": wj.Mode(to(self.p), (halved, self.over())),
+            "after": wj.Mode(to(-self.p), (self.over(),)),
+        }
+
+
 def reset_at_the_end(p):
     return jnp.where(p < 1, 1 - p, 1.0)
 
@@ -73,6 +88,11 @@ def reset_at_the_end(p):
 def decayed_at_the_end(p):
     """From u = 1: p is reached at the time -log(p)."""
     return p + p**2 * (1 + jnp.log(p))
+
+
+def halved_at_the_end(p, x):
+    """From u = x: 1 is reached at the time -log(x) / p, if that is below 1."""
+    return jnp.where(x * jnp.exp(p) > 1, jnp.exp(-p) / (2 * x), x * jnp.exp(p))
 
 
 CASES = {
@@ -96,6 +116,19 @@ def test_the_time_of_an_event_is_differentiated(name):
     end = lambda p: wj.stride(system(p), jnp.asarray([start], p.dtype)).state[0]
     found, expected = (jax.jit(jax.vmap(derivatives(f)))(p) for f in (end, exact))
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_the_adjoint_of_two_modes_and_a_reset(monkeypatch):
+    """By the parameter of both modes and by the start, in a batch, also where no event happens."""
+    monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
+    p, x = jnp.array([0.9, 1.5, 9.0, 0.4]), jnp.array([0.5, 0.8, 1e-3, 0.6])
+    end = lambda p, x: wj.stride(Halved(p), x[None]).state[0]
+    gradients = lambda end: jax.jit(jax.vmap(jax.grad(end, (0, 1))))(p, x)
+    found, expected = gradients(end), gradients(halved_at_the_end)
+    known = [one for one, _ in program.programs.values() if one.owner == "Halved"]
+    made = [adjoint for one in known for adjoint in one.adjoints.values()]
+    assert made and all(made)  # or the columns of the Jacobian were computed instead
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
 
 
 def test_the_derivatives_of_the_reports_are_minus_one_and_one():

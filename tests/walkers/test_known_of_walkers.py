@@ -146,8 +146,8 @@ PARAMETERS = [(-3.5, -0.5), (-2, 2.5), (-2, 1)]
     ("kind", "launched"),
     [
         pytest.param(wj.SimplestWalker, False, marks=pytest.mark.slow),
-        (wj.SpringWalker, False),
-        pytest.param(wj.SpringWalker, True, marks=pytest.mark.slow),
+        pytest.param(wj.SpringWalker, False, marks=pytest.mark.slow),
+        (wj.SpringWalker, True),
         pytest.param(wj.PoweredWalker, True, marks=pytest.mark.slow),
     ],
 )

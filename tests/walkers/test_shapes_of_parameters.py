@@ -91,7 +91,16 @@ WALKERS = {
 """Walkers, the arguments of their constructors, the size of torques, and a start."""
 
 
-def check_derivatives(name: str, kind: str) -> None:
+@pytest.fixture(autouse=True)
+def by_adjoint(monkeypatch):
+    """Reverse mode by the adjoint, however few numbers there are."""
+    monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
+
+
+@pytest.mark.slow  # by default those of a machine of tables are checked, in test_networks.py
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", WALKERS)
+def test_derivatives_of_all_walkers_by_all_shapes(name, kind):
     base, given, size, start = WALKERS[name]
     torque, policy = KINDS[kind]
     walker = with_torque(base, torque, size)(*given, policy=policy)
@@ -114,16 +123,3 @@ def check_derivatives(name: str, kind: str) -> None:
     values = jax.vmap(jax.vmap(number))(moved)
     by = np.array([1.0, -8.0, 8.0, -1.0]) @ np.asarray(values) / (12 * step)
     np.testing.assert_allclose(forward / scale, by / scale, rtol=0, atol=1e-7)
-
-
-@pytest.fixture(autouse=True)
-def by_adjoint(monkeypatch):
-    """Reverse mode by the adjoint, however few numbers there are."""
-    monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
-
-
-@pytest.mark.slow  # by default those of a machine of tables are checked, in test_networks.py
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", WALKERS)
-def test_derivatives_of_all_walkers_by_all_shapes(name, kind):
-    check_derivatives(name, kind)

@@ -52,8 +52,24 @@ def test_records_have_derivatives_in_both_modes():
 
     for jacobian in (jax.jacfwd, jax.jacrev):
         np.testing.assert_array_equal(jacobian(follow)(0.1), [2, 4, 8])
-    # what comes after a failure has no derivatives
-    np.testing.assert_array_equal(jax.jacfwd(follow)(0.3), [2, np.nan, np.nan])
+        # what comes after a failure has no derivatives
+        np.testing.assert_array_equal(jacobian(follow)(0.3)[1:], np.nan)
+    assert jax.jacfwd(follow)(0.3)[0] == 2
+
+
+class Double(wj.System):
+    """The same map as a system, whose strides are kernels."""
+
+    section = ("x",)
+
+    def advance(self, x):
+        return 2 * x, jnp.where(2 * x[0] <= 1, wj.Outcome.STRIDE, wj.Outcome.FORWARD), 1.0
+
+
+def test_a_walk_has_derivatives_up_to_its_failure():
+    states = lambda x: wj.walk(Double(), x[None], 3).states[:, 0]
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_array_equal(jacobian(states)(jnp.asarray(0.3)), [1, 2, np.nan, np.nan])
 
 
 @pytest.mark.slow
