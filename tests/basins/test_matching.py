@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from reference import read_values
 
 import walker_jax as wj
 from walker_jax import figures
@@ -18,7 +17,6 @@ from walker_jax.stability import basin_fractions
 from walker_jax.stability.basin_fractions import Found, assemble, summarise_fractions
 from walker_jax.storage.schema import check_dataset
 
-VALUES = read_values("values")
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 10), sum=(-0.03, 0.01, 10))
 
 

@@ -35,8 +35,9 @@ def test_at_a_fractal_boundary_the_error_is_infinite():
     [(0.003, False), pytest.param(0.006, False, marks=pytest.mark.slow), (0.013, True)],
 )
 def test_smooth_boundaries_are_told_from_fractal_ones(slope, fractal):
+    """Those of the simplest walker, by the class of the next, whose program is compiled once."""
     found = wj.measure(
-        wj.SimplestWalker(slope), "area", ["slope"], grid=SIMPLEST, levels=0, check=10_000
+        wj.PoweredWalker(slope), "area", ["slope"], grid=SIMPLEST, levels=0, check=10_000
     )
     assert found.fractal.tolist() == [fractal] and np.isinf(found.gradient_error[0]) == fractal
     expected = {0.003: -0.0985, 0.006: -0.0410}  # by differences, to 0.0016
@@ -44,7 +45,6 @@ def test_smooth_boundaries_are_told_from_fractal_ones(slope, fractal):
         assert abs(found.gradient[0] - expected[slope]) < 3 * found.gradient_error[0]
 
 
-@pytest.mark.slow
 def test_where_margins_jump_the_error_holds():
     """A third of this smooth boundary are starts whose strike is missed, and which fall later on.
 

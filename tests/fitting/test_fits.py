@@ -90,9 +90,9 @@ def check_with_scipy(found, parameter):
     assert error == pytest.approx(rate * np.sqrt(covariance[0, 0]), rel=1e-4)
 
 
-def test_scipy_finds_the_same_by_differences(ball):
-    _, fit = ball
-    check_with_scipy(fit(), "gravity")
+def test_scipy_finds_the_same_by_differences(ball, many):
+    for _, fit in (ball, many):
+        check_with_scipy(fit(), "gravity")
 
 
 @pytest.mark.slow
@@ -318,8 +318,8 @@ def test_changes_of_variables_are_inverse_to_each_other():
     np.testing.assert_allclose(slopes(free, bounds), by_differences, rtol=1e-7)
 
 
-def test_recordings_with_a_wrong_sign_are_told(ball):
-    """A ball that falls upward never lands."""
+def test_a_guess_with_a_wrong_sign_is_told(ball):
+    """With the gravity of the guess a ball falls upward and never lands."""
     _, fit = ball
     with pytest.raises(ValueError, match="none walks from its recorded start, such as"):
         fit(guess=Ball(-9.0, 0.0, 0.85))

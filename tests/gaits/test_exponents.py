@@ -91,7 +91,13 @@ def test_of_an_unstable_gait_walks_tell():
 
 
 @pytest.mark.parametrize(
-    "size, zeros", [(1, 1), (2, 2), pytest.param(3, 2, marks=pytest.mark.slow)]
+    "size, zeros",
+    [
+        (1, 1),
+        (2, 1),
+        pytest.param(2, 2, marks=pytest.mark.slow),
+        pytest.param(3, 2, marks=pytest.mark.slow),
+    ],
 )
 def test_a_multiplier_of_zero_has_no_finite_logarithm(size, zeros):
     """One turn of the cycle gives a single one, and walks give several."""

@@ -541,7 +541,6 @@ def gait_with_a_fold(d):
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_a_missing_gait_has_derivatives_of_nan(mode):
-
     d = jnp.array([0.04, -0.04, 0.09])
     root = np.sqrt(np.abs(d))
     expected = [0.5 / root, -1 / root]

@@ -65,8 +65,8 @@ def test_the_whole_least_disturbance_is_proved(disc):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("slope", "radius"), [(0.004, RADIUS), (0.009, 0.0022556)])
-def test_at_the_steeper_slope_too(slope, radius):
-    """And by the series that users have."""
+def test_the_disc_at_two_slopes_is_proved(slope, radius):
+    """By the series that users have."""
     with pytest.MonkeyPatch.context() as patch:
         for module in ("boxes", "landings"):
             patch.setattr(f"walker_jax.proofs.{module}.ORDER", ORDER)

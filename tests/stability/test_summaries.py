@@ -110,6 +110,23 @@ def test_a_command_names_the_options_that_make_a_gait_needless():
     assert message_of(error.value, known).endswith("give --theta, --sum, or another --slope")
 
 
+def test_an_error_has_as_many_parameters_as_there_is_room_for(monkeypatch):
+    """And all the options that make the gait needless, whose search is made up to fail."""
+    from walker_jax.cli.options import message_of
+
+    failed = wj.find_gait(WALKER)._replace(residual=np.array(1e-3), found=np.array(False))
+    monkeypatch.setattr(selection, "search_gait", lambda *_, **__: failed)
+    axes = dict.fromkeys(("theta", "sum", "phidot"))
+    with pytest.raises(wj.ComputationFailed) as error:
+        windows.fill_around_gait(wj.RoundFootWalker(0.5), axes)
+    known = "--theta", "--sum", "--at-phidot", "--slope"
+    assert message_of(error.value, known) == (
+        "no gait of period 1 found for RoundFootWalker, slope 0.5, hip_mass 1, ...: "
+        "Newton's iteration diverged: a stride misses the next state by 0.001; "
+        "give --theta, --sum, --at-phidot, or another --slope"
+    )
+
+
 def test_windows_lie_around_the_gait_or_are_those_of_the_paper():
     axes = {"theta": None, "sum": (-0.1, 0.0, 10)}
     assert windows.fill_from_paper(WALKER, axes) == {"theta": (0.0, 0.4, 200), "sum": axes["sum"]}

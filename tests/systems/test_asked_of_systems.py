@@ -13,7 +13,7 @@ from walker_jax.design.measures import cost_is_known
 from walker_jax.walkers.parameters import span_of
 from walker_jax.walking.consistency import check_landing
 
-ALPHA, SLOPE = np.pi / 8, 0.1
+ALPHA = np.pi / 8
 
 
 class Hub:

@@ -106,7 +106,6 @@ def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
     assert (data.fate == wj.Outcome.STRIDE).all()
 
 
-@pytest.mark.slow
 def test_a_crossed_switch_is_that_of_another_integration(relay):
     relay, y = relay["Relay"](), -1.5
 

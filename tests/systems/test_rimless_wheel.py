@@ -24,6 +24,7 @@ NAMES = "slope alpha torso_mass torso_com torso_inertia stiffness damping lean".
 LEVEL = wj.systems.TorsoWheel()
 DOWNHILL = wj.systems.TorsoWheel(0.08, 0.3, 0.7, 0.4, 0.05, 2.0, 0.3, 0.1)
 WHEELS = {"level": LEVEL, "downhill": DOWNHILL}
+LEVEL_GAIT = [[-0.444569120151, 0.608648375889, 0.336953860588]]
 
 
 # A reference, in angles from the vertical
@@ -132,9 +133,6 @@ def test_gaits_are_those_of_the_reference(wheel):
     assert outcome == Outcome.STRIDE and gait.stable
     assert gait.step_times[0] == pytest.approx(time, abs=1e-11)
     assert_gait(gait, lambda x: reference(wheel, x)[0], 2e-3, 1e-9)
-
-
-LEVEL_GAIT = [[-0.444569120151, 0.608648375889, 0.336953860588]]
 
 
 @pytest.mark.slow

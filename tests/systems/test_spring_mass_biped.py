@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import check_functions_of_modes
-from modes_by_scipy import ModesByScipy
 from reference import read_values
 from scipy.integrate import solve_ivp
 
@@ -71,15 +70,6 @@ STRIDES = [
     (FASTER, FLOWN),
     (wj.systems.SpringMassBiped(**RUNS_AT), (0.9, 0.01)),
 ]
-BY_SCIPY = ModesByScipy()
-
-
-@pytest.mark.parametrize(("walker", "start"), STRIDES)
-def test_its_modes_make_the_stride_of_other_equations(walker, start):
-    made, time = BY_SCIPY.stride(walker, start)
-    state, expected = stride_by_scipy(walker, *start)
-    np.testing.assert_allclose(made, state, atol=2e-11)
-    assert time == pytest.approx(expected, abs=2e-11)
 
 
 @pytest.mark.parametrize(("walker", "start"), STRIDES)

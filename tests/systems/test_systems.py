@@ -7,9 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from by_differences import differences
 from henon import as_map
-from modes_by_scipy import ModesByScipy
 from reference import read_values
 from scipy.integrate import solve_ivp
 from scipy.optimize import root, root_scalar
@@ -289,18 +287,6 @@ RUNNERS = [
 ]
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_modes_of_the_spring_mass_runner_return_to_its_runs(number):
-    by_scipy, runner = ModesByScipy(), RUNNERS[number]
-    strides = lambda many: np.stack([by_scipy.stride(runner, x)[0] for x in many])
-    for point in REFERENCE["slip"]["sets"][number]["fixed_points"]:
-        x = np.array([point["apex"]])
-        np.testing.assert_allclose(strides(x[None])[0], x, rtol=0, atol=1e-11)
-        slope = differences(strides, x, np.full(1, 1e-3))[0, 0]
-        assert slope == pytest.approx(point["multiplier"], abs=1e-7)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_runs_of_the_spring_mass_runner(number):
     runner, expected = RUNNERS[number], REFERENCE["slip"]["sets"][number]
