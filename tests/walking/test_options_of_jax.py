@@ -124,12 +124,13 @@ def test_no_tracer_is_left_behind_by_derivatives(name):
     assert slope == pytest.approx(by_difference, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("system", "start"),
     [
-        pytest.param(wj.systems.HenonMap(), jnp.array([0.7, 0.3]), marks=pytest.mark.slow),
+        (wj.systems.HenonMap(), jnp.array([0.7, 0.3])),
         (wj.systems.BouncingBall(0.4, 0.8), jnp.array([0.7, 2.3])),
-        pytest.param(WALKER, START, marks=pytest.mark.slow),
+        (WALKER, START),
     ],
 )
 def test_jet_of_a_stride_is_the_series_along_a_curve(system, start):
@@ -143,3 +144,28 @@ def test_jet_of_a_stride_is_the_series_along_a_curve(system, start):
     np.testing.assert_array_equal(found.state, curve(0.0))
     np.testing.assert_allclose(terms.state[0], jax.jacfwd(curve)(0.0), rtol=1e-12)
     np.testing.assert_allclose(terms.state[1], jax.jacfwd(jax.jacfwd(curve))(0.0), rtol=1e-10)
+
+
+class Thrown(wj.HybridSystem):
+    """A point, up to its landing: a step of any length is exact, whatever the tolerance."""
+
+    section = ("height", "speed")
+
+    def lift(self, x):
+        return x
+
+    def project(self, state):
+        return state
+
+    def modes(self):
+        field = lambda state: jnp.stack([state[1], -jnp.ones_like(state[0])])
+        return {"flight": wj.Mode(field, (wj.Guard(lambda state: -state[0], wj.SECTION),))}
+
+
+def test_jet_of_a_motion_that_steps_exactly():
+    """It lands with the speed of -(v^2 + 2 h)^(1/2)."""
+    along, none = jnp.array([1.0, 0.0]), jnp.zeros(2)
+    stride = lambda x: wj.stride(Thrown(), x).state[1]
+    found, terms = jet(stride, (jnp.array([0.5, 0.3]),), ((along, none),))
+    speed = np.sqrt(1.09)
+    np.testing.assert_allclose([found, *terms], [-speed, -1 / speed, speed**-3], rtol=1e-13)

@@ -124,7 +124,9 @@ class Integrator(eqx.Module):
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
         if limits.scales is None:
             limits = limits._replace(proportional=proportional_variables(*motion_of(field, state)))
-        return Method(field, solver, self.tolerance, others, watched, conditions, limits)
+        # It has no effect to differentiate; the length of an exact step has no derivative by it.
+        tolerance = lax.stop_gradient(self.tolerance)
+        return Method(field, solver, tolerance, others, watched, conditions, limits)
 
 
 def integrator_of(
