@@ -296,14 +296,10 @@ def fit_crisis(
 ) -> tuple[float, float, float]:
     """Return the crisis, the exponent and chi^2 of the best fit."""
 
-    share = weights / weights.sum()
-    y = logs - share @ logs
-
     def line(at: float) -> tuple[float, float]:
         x = np.log(values - at)
-        x = x - share @ x
-        slope = (share * x) @ y / ((share * x) @ x)
-        return -float(slope), float(weights @ (y - slope * x) ** 2)
+        slope, constant = np.polyfit(x, logs, 1, w=np.sqrt(weights))
+        return -float(slope), float(np.sum(weights * (logs - constant - slope * x) ** 2))
 
     if crisis is None:
         span = float(values[-1] - values[0])
