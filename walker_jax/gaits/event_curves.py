@@ -106,7 +106,8 @@ def continue_event(
         raise WrongUse(
             f"bounds must hold the event, at {names[0]} {values[0]:g} and {names[1]} {values[1]:g}"
         )
-    (curve,) = continue_events(system, [(values, event)], names, ranges, tolerance=tolerance)
+    asked = [(values, event)]
+    (curve,) = continue_events(system, asked, names, ranges, tolerance=tolerance, within=1e-6)
     if curve is None:
         raise WrongUse(
             f"event must be one of this system, at {names[0]} {values[0]:g} and {names[1]} "
@@ -145,10 +146,11 @@ def continue_events(
     ranges: Ranges,
     *,
     tolerance: Real | None = None,
+    within: float = np.inf,
 ) -> list[EventCurve | None]:
     """Follow the curves of many bifurcations, each at values of both parameters, all at once.
 
-    A curve is None where there is no such bifurcation: none at all, or one at other values.
+    A curve is None where there is no such bifurcation, or none `within` a share of the ranges.
     """
     integrator = Integrator(float64_tolerance(tolerance)).in_dtype(float)
     compute = partial(compute_responses, system, names, integrator)
@@ -161,7 +163,7 @@ def continue_events(
     known = [
         i
         for i, (point, (values, _)) in enumerate(zip(first, events, strict=True))
-        if point is not None and off(point, values) < 1e-6
+        if point is not None and off(point, values) < within
     ]
     tasks = [
         follow_event(events[i][1].kind, first[i], sign, ranges)

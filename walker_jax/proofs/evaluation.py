@@ -10,7 +10,7 @@ NumPy computed before JAX saw it counts as rounded once.
 """
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -97,7 +97,7 @@ def is_own_sincos(equation) -> bool:
     return equation.params.get("name") == "sincos" and text_of(called) == own_sincos()
 
 
-@cache
+@lru_cache(64)
 def text_of(jaxpr) -> str:
     """Return a jaxpr as text, made once: to write one takes longer than to enclose its results."""
     return str(jaxpr)
