@@ -116,7 +116,7 @@ def test_an_error_has_as_many_parameters_as_there_is_room_for(monkeypatch):
 
     failed = wj.find_gait(WALKER)._replace(residual=np.array(1e-3), found=np.array(False))
     monkeypatch.setattr(selection, "search_gait", lambda *_, **__: failed)
-    axes = dict.fromkeys(("theta", "sum", "phidot"))
+    axes = {"theta": None, "sum": None, "phidot": None}
     with pytest.raises(wj.ComputationFailed) as error:
         windows.fill_around_gait(wj.RoundFootWalker(0.5), axes)
     known = "--theta", "--sum", "--at-phidot", "--slope"
