@@ -13,7 +13,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.emit import emit
+from walker_jax.kernels.emit import emit, lanes_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import hash_source, register_bits
 from walker_jax.kernels.machine_code import MachineCode, report_compilation
@@ -27,10 +27,13 @@ belongs to a long array in memory."""
 class Compiled:
     """The machine code of a jaxpr of one cell."""
 
-    def __init__(self, closed: ClosedJaxpr):
-        """Write the jaxpr's program; raise `UnsupportedPrimitive` if kernels do not support it."""
+    def __init__(self, closed: ClosedJaxpr, shared: bool = False):
+        """Write the jaxpr's program; raise `UnsupportedPrimitive` if kernels do not support it.
+
+        A `shared` program may be called by others (`shared_code`).
+        """
         start = time.perf_counter()
-        self.operands, self.results, source = source_of(closed, register_bits())
+        self.operands, self.results, source = source_of(closed, register_bits(), shared)
         self.code = MachineCode(source, hash_source(source))
         report_compilation(start)
 
@@ -49,6 +52,11 @@ class Compiled:
     def digest(self) -> str:
         """The hash of the program's source."""
         return self.code.digest
+
+    @property
+    def lanes(self) -> int:
+        """The number of cells that it computes at once."""
+        return lanes_of(self.operands, self.results, register_bits())
 
     def bind(
         self, operands: Sequence, mapped: Sequence[bool], n: int
@@ -75,7 +83,9 @@ class Compiled:
         return compute, results
 
 
-def source_of(closed: ClosedJaxpr, bits: int) -> tuple[list, list, str]:
+def source_of(
+    closed: ClosedJaxpr, bits: int, shared: bool = False
+) -> tuple[list, list, str]:
     """Return shapes and types of operands and results, and the program's source (`emit`)."""
     avals = [*closed.in_avals, *closed.out_avals]
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
@@ -86,7 +96,7 @@ def source_of(closed: ClosedJaxpr, bits: int) -> tuple[list, list, str]:
     if sum(math.prod(aval.shape) for aval in registers) > MAX_NUMBERS:
         raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
     with without_garbage_collection():
-        return operands, results, emit(closed, operands, results, bits)
+        return operands, results, emit(closed, operands, results, bits, shared)
 
 
 def shapes_and_types(avals: Sequence) -> list[tuple[tuple[int, ...], np.dtype]]:

@@ -14,10 +14,12 @@ from llvmlite import ir
 
 from walker_jax.kernels import control, indexing, tape_memory
 from walker_jax.kernels.builder import FAST, Builder
+from walker_jax.kernels.cell_functions import call_cell, call_other, define_cell
 from walker_jax.kernels.entries import Unrolling
 from walker_jax.kernels.jaxprs import (
     CALLS,
     CALLS_WITH_DERIVATIVES,
+    SHARED_CALL,
     UnsupportedPrimitive,
     shape_dtype,
 )
@@ -44,10 +46,12 @@ FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleT
 class LLVMEmitter(Unrolling):
     """Emits LLVM instructions for a jaxpr; an entry is a known number or a vector of all lanes."""
 
-    def __init__(self, builder: Builder, lanes: int):
+    def __init__(self, builder: Builder, lanes: int, may_call: bool = False):
         super().__init__()
         self.builder = builder
         self.lanes = lanes
+        self.may_call = may_call
+        """Whether it calls the machine code of other kernels; otherwise it includes them."""
         self.active: Any = None
         """A flag for each lane, true if the lane is active; None if all are."""
         self.types: dict = {}
@@ -329,13 +333,22 @@ LLVMEmitter.rules = {
     **Unrolling.rules,
     **dict.fromkeys(CALLS_WITH_DERIVATIVES, LLVMEmitter.call),
     **dict.fromkeys(REDUCTIONS, LLVMEmitter.reduce),
+    SHARED_CALL: call_other,
     "new_tape": tape_memory.new_tape,
     "write_row": tape_memory.write_row,
     "read_row": tape_memory.read_row,
 }
 
 
-def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
+def lanes_of(operands: list, results: list, bits: int) -> int:
+    """Return the number of cells of a vector; with 0 bits one, as for a thread."""
+    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
+    return max(1, bits // 8 // max(floats, default=8))
+
+
+def emit(
+    closed: ClosedJaxpr, operands: list, results: list, bits: int, shared: bool = False
+) -> str:
     """Write the source of a program that computes results[start:stop] in vectors of `bits` bits.
 
     A vector should fill one register of the processor. LLVM splits a longer one over several
@@ -344,18 +357,18 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
 
     The program is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of
-    two successive cells in an operand; it is 0 for an operand that all cells share.
+    two successive cells in an operand; it is 0 for an operand that all cells share. A `shared`
+    program also has a function that other programs call (`cell_functions`).
     """
-    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
-    lanes = max(1, bits // 8 // max(floats, default=8))
+    lanes, stored = lanes_of(operands, results, bits), keeps_arrays_in_memory(closed.jaxpr, bits)
     arguments = [LONG, LONG, ADDRESS.as_pointer(), LONG.as_pointer()]
     module = ir.Module("kernel")
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
     start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = Builder(before)
-    emitter = LLVMEmitter(builder, lanes)
-    if keeps_arrays_in_memory(closed.jaxpr, bits):
+    emitter = LLVMEmitter(builder, lanes, bits > 0 and not stored)
+    if stored:
         emitter.store = Store(emitter)
         emitter.store.open()
     memory = Memory(emitter, addresses)
@@ -375,7 +388,10 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
         memory.load(array, step, *operand)
         for array, step, operand in zip(arrays, steps, operands, strict=False)
     ]
-    outputs = emitter.interpret(closed, inputs)
+    if shared and emitter.may_call:
+        outputs = call_cell(emitter, define_cell(emitter, closed), closed, inputs)
+    else:
+        outputs = emitter.interpret(closed, inputs)
     for array, output, result in zip(arrays[len(operands) :], outputs, results, strict=True):
         memory.store(array, output, *result)
     first.add_incoming(builder.add(first, LONG(lanes)), builder.block)

@@ -154,7 +154,11 @@ def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
     return interpreter.interpret(called_function(equation), operands)
 
 
-CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "eval_jaxpr", "checkpoint", "remat2"), enter)
+SHARED_CALL = "shared_call"
+"""Name of the primitive of a call of another kernel (`shared_code`)."""
+CALLS = dict.fromkeys(
+    ("jit", "pjit", "closed_call", "eval_jaxpr", "checkpoint", "remat2", SHARED_CALL), enter
+)
 """Rules for primitives that only call a function."""
 CALLS_WITH_DERIVATIVES = dict.fromkeys(
     ("custom_jvp_call", "custom_vjp_call", "call_hi_primitive"), enter

@@ -108,10 +108,10 @@ def load_program(source: str, level: int = OPTIMISED, *, keep: bool = True) -> l
     return link(code, machine)
 
 
-def recall_program(digest: str) -> llvm.ExecutionEngine | None:
+def recall_program(digest: str) -> tuple[llvm.ExecutionEngine, bytes] | None:
     """Load the program whose source has this digest, if its optimised code is on disk."""
     code = recall(code_name(digest))
-    return None if code is None else link(code, target_machine(*processor()))
+    return None if code is None else (link(code, target_machine(*processor())), code)
 
 
 def keep_source(source: str) -> None:

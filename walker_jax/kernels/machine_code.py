@@ -10,11 +10,15 @@ selects instructions, and does so alike for both.
 import ctypes
 import threading
 import time
+import weakref
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import llvmlite.binding as llvm
 
+from walker_jax.identity import Cache
+from walker_jax.kernels.cell_functions import FUNCTION, SLOT, SLOTS
 from walker_jax.kernels.machine import (
     QUICK,
     allows_quick_code,
@@ -46,6 +50,23 @@ def report_compilation(start: float) -> None:
     jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
 
+codes: Cache = Cache()
+"""By digest: a weak reference to code in use, which other code may call."""
+
+
+def code_called(program: bytes) -> "Iterator[MachineCode]":
+    """Yield the code that a program calls, given its source or its machine code.
+
+    Raises `FileNotFoundError` if some is neither in use nor on disk.
+    """
+    for name in sorted(set(SLOTS.findall(program))):
+        digest = name.decode()
+        found = codes.get(digest, lambda: None)() or MachineCode.recall(digest)
+        if found is None:
+            raise FileNotFoundError(digest)
+        yield found
+
+
 class MachineCode:
     """Code that any number of threads may run at once."""
 
@@ -54,53 +75,85 @@ class MachineCode:
         self.digest = digest
         self.source = source
         """What is left to be optimised, if anything."""
+        self.called: list[MachineCode] = [] if source is None else [*code_called(source.encode())]
+        """Code of other kernels that it calls."""
         self.engines: list[llvm.ExecutionEngine] = []
         """All code so far: a thread may still run the first."""
         self.entry: Any = None
         self.worked = 0.0
         """Seconds of work by unoptimised code."""
         self.compiling = threading.Lock()
+        codes[digest] = weakref.ref(self)
 
     @classmethod
     def recall(cls, digest: str) -> "MachineCode | None":
         """Load the code of the program whose source has this digest, if it is on disk."""
-        engine = recall_program(digest)
-        source = recall_source(digest) if engine is None else None
-        if engine is None and source is None:
+        program = recall_program(digest)
+        source = recall_source(digest) if program is None else None
+        if program is None and source is None:
             return None
-        found = cls(source, digest)
-        if engine is not None:
-            found.use(engine)
+        try:
+            found = cls(source, digest)
+            if program is not None:
+                engine, code = program
+                found.called = [*code_called(code)]
+                found.use(engine)
+        except FileNotFoundError:  # code that it calls
+            return None
         return found
 
-    def use(self, engine: llvm.ExecutionEngine) -> None:
+    def use(self, engine: llvm.ExecutionEngine, *, quick: bool = False) -> None:
+        """Run this code from now on; what it calls is optimised too, unless it is to be quick."""
+        for other in self.called:
+            slot = engine.get_global_value_address(SLOT.format(other.digest))
+            ctypes.c_int64.from_address(slot).value = other.address_of_cell(quick)
         self.engines.append(engine)
         self.entry = ENTRY(engine.get_function_address("kernel"))
 
+    @property
+    def has_cell(self) -> bool:
+        """Whether other code may call it."""
+        if self.source is not None:
+            return f'@"{FUNCTION}"(' in self.source
+        return self.engines[-1].get_function_address(FUNCTION) != 0
+
+    def address_of_cell(self, quick: bool) -> int:
+        """Return the address of the function that other code calls."""
+        self.make_quickly() if quick else self.optimise()
+        return self.engines[-1].get_function_address(FUNCTION)
+
+    @property
+    def work(self) -> int:
+        """Characters of the source that is left to be optimised, with that of what it calls."""
+        return len(self.source or "") + sum(other.work for other in self.called)
+
     def run(self, start: int, stop: int, addresses: Any, strides: Any) -> None:
         """Compute results[start:stop] (`emit`)."""
-        while start < stop and (source := self.source) is not None:
+        while start < stop and self.source is not None:
             end, begun = min(start + PIECE, stop), time.thread_time()
             self.entry(start, end, addresses, strides)
             start, self.worked = end, self.worked + time.thread_time() - begun
-            if self.worked > TRIAL_SECONDS * len(source):
+            if self.worked > TRIAL_SECONDS * self.work:
                 self.optimise(wait=False)
         self.entry(start, stop, addresses, strides)
 
     def expect(self, cells: int) -> None:
         """Make the code that suits a call for this many cells."""
-        source = self.source
-        if source is None or (self.entry is not None and cells <= MANY_CELLS):
+        if self.source is None or (self.entry is not None and cells <= MANY_CELLS):
             return  # at once: all that asks LLVM waits while it compiles in another thread
         least, most = LONG_SOURCE
-        if cells > MANY_CELLS or not least <= len(source) <= most or not allows_quick_code():
+        if cells > MANY_CELLS or not least <= self.work <= most or not allows_quick_code():
             self.optimise()
-            return
-        start = time.perf_counter()
+        else:
+            self.make_quickly()
+
+    def make_quickly(self) -> None:
+        """Make code that is not optimised, if there is none yet."""
+        source, start = self.source, time.perf_counter()
         with self.compiling:
-            if self.entry is None:
+            if self.entry is None and source is not None:
                 keep_source(source)
-                self.use(load_program(source, QUICK))
+                self.use(load_program(source, QUICK), quick=True)
         report_compilation(start)
 
     def optimise(self, *, wait: bool = True) -> None:

@@ -41,6 +41,7 @@ from walker_jax.kernels.program import (
     tracing_for_kernel,
 )
 from walker_jax.kernels.reverse import reversing
+from walker_jax.kernels.shared_code import call_shared
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_OPERATIONS = 4000, 20000
@@ -71,10 +72,12 @@ kernel_p.multiple_results = True
 
 
 def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Array]:
-    """Call a program by its primitive; within another kernel, evaluate its own equations."""
+    """Call a program by its primitive; within another kernel, as `shared_code` says."""
     leaves = unify_varying_axes(list(map(without_weak_type, leaves)))
     if tracing_for_kernel.value:
-        return (program.function_in_reverse if reversing.value else program.function)(*leaves)
+        if reversing.value:
+            return program.function_in_reverse(*leaves)
+        return call_shared(program, leaves)
     return kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
 
 

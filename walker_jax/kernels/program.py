@@ -36,6 +36,7 @@ from walker_jax.kernels.program_cache import (
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
 from walker_jax.kernels.reverse import reversing, says_no_transpose
+from walker_jax.kernels.shared_code import MIN_OPERATIONS
 from walker_jax.kernels.stored import is_long, multiplies_long_matrices
 from walker_jax.kernels.unused import without_unused
 
@@ -115,7 +116,7 @@ class Program:
                 return compiled
         try:
             with nan_allowed():  # of known numbers, in branches that are not taken
-                compiled = Compiled(self.closed)
+                compiled = Compiled(self.closed, self.size >= MIN_OPERATIONS)
         except UnsupportedPrimitive as error:
             self.why_not = f"kernels do not support {error}"
             if self.owner is not None:
