@@ -84,7 +84,7 @@ def test_a_kernel_is_made_anew_for_a_number_of_another_kind(turn):
             assert map_cells(function, (shared, np.ones(3, np.float32))).dtype == dtype
 
 
-def no_kernel(closed):
+def no_kernel(closed, shared):
     raise UnsupportedPrimitive("any")
 
 

@@ -83,9 +83,7 @@ class Compiled:
         return compute, results
 
 
-def source_of(
-    closed: ClosedJaxpr, bits: int, shared: bool = False
-) -> tuple[list, list, str]:
+def source_of(closed: ClosedJaxpr, bits: int, shared: bool = False) -> tuple[list, list, str]:
     """Return shapes and types of operands and results, and the program's source (`emit`)."""
     avals = [*closed.in_avals, *closed.out_avals]
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):

@@ -41,8 +41,8 @@ from walker_jax.kernels.program import (
     tracing_for_kernel,
 )
 from walker_jax.kernels.reverse import reversing
-from walker_jax.kernels.shared_code import call_shared
 from walker_jax.kernels.sharding import is_divided, lower_divided
+from walker_jax.kernels.shared_code import call_shared
 
 MAX_OPERATIONS = 4000, 20000
 """Most operations in a derivative along two directions at once, and along more than two.

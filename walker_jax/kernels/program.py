@@ -36,12 +36,13 @@ from walker_jax.kernels.program_cache import (
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
 from walker_jax.kernels.reverse import reversing, says_no_transpose
-from walker_jax.kernels.shared_code import MIN_OPERATIONS
 from walker_jax.kernels.stored import is_long, multiplies_long_matrices
 from walker_jax.kernels.unused import without_unused
 
 MAX_PROGRAMS = 256
 """Most functions kept compiled; the least recently used are dropped."""
+MIN_SHARED = 1000
+"""Fewest operations of a program that other kernels call; a smaller one becomes part of them."""
 tracing_for_kernel = jax.make_user_context(False)
 """True while a function is traced for a kernel, and the kernels it calls become part of it."""
 
@@ -116,7 +117,7 @@ class Program:
                 return compiled
         try:
             with nan_allowed():  # of known numbers, in branches that are not taken
-                compiled = Compiled(self.closed, self.size >= MIN_OPERATIONS)
+                compiled = Compiled(self.closed, self.shared)
         except UnsupportedPrimitive as error:
             self.why_not = f"kernels do not support {error}"
             if self.owner is not None:
@@ -160,6 +161,11 @@ class Program:
     def size(self) -> int:
         """The number of operations of one cell."""
         return self.traced.size if self.traced else count_operations(self.closed.jaxpr)
+
+    @property
+    def shared(self) -> bool:
+        """Whether other kernels call its machine code (`shared_code`)."""
+        return self.size >= MIN_SHARED
 
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
         """Return the derivative of all real results along directions of the operands `by`.

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import numpy as np
 from jax.experimental import jet
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
@@ -20,16 +19,13 @@ from jax.interpreters import ad, batching, mlir
 from walker_jax.kernels.jaxprs import SHARED_CALL
 from walker_jax.kernels.jets import push_series
 
-MIN_OPERATIONS = 1000
-"""Fewest operations of a kernel that others call; a smaller one becomes part of their code."""
-
 shared_call_p = Primitive(SHARED_CALL)
 shared_call_p.multiple_results = True
 
 
 def call_shared(program: Any, leaves: Sequence[jax.Array]) -> list[jax.Array]:
-    """Call a program within another kernel."""
-    if program.size < MIN_OPERATIONS:
+    """Call a program within another kernel; a small one becomes part of it."""
+    if not program.shared:
         return program.function(*leaves)
     return shared_call_p.bind(*leaves, jaxpr=program.closed, program=program)
 
