@@ -113,8 +113,9 @@ def test_another_process_finds_the_code_that_it_calls(folder):
     compiled = program_in(outer, 1.0, n).compiled
     first, called = compiled.code, compiled.code.called[0]
     machine_code.codes.clear()
-    compiled.code = MachineCode.recall(first.digest)
-    again = compiled.code.called[0]
+    recalled = MachineCode.recall(first.digest)
+    assert recalled is not None
+    compiled.code, (again,) = recalled, recalled.called
     assert again is not called and again.digest == called.digest
     run, results = compiled.bind([STARTS, 4], [True, False], len(STARTS))
     run(0, len(STARTS))

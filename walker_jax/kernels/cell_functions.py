@@ -16,6 +16,7 @@ from llvmlite import ir
 
 from walker_jax.kernels.builder import Builder
 from walker_jax.kernels.memory import LONG
+from walker_jax.kernels.rules import is_floating
 from walker_jax.kernels.shortcuts import is_known
 
 FUNCTION = "cell"
@@ -24,6 +25,12 @@ SLOT = "slot_{}"
 """Name of a slot."""
 SLOTS = re.compile(SLOT.format("([0-9a-f]{64})").encode())
 """Names of slots in a program's source, or in its machine code, whose tables list them."""
+
+
+def lanes_of(operands: list, results: list, bits: int) -> int:
+    """Return the number of cells of a vector; with 0 bits one, as for a thread."""
+    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
+    return max(1, bits // 8 // max(floats, default=8))
 
 
 @no_type_check  # as the emitter

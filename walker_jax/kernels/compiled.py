@@ -13,7 +13,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.emit import emit, lanes_of
+from walker_jax.kernels.cell_functions import lanes_of
+from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import hash_source, register_bits
 from walker_jax.kernels.machine_code import MachineCode, report_compilation

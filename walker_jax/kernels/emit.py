@@ -14,7 +14,7 @@ from llvmlite import ir
 
 from walker_jax.kernels import control, indexing, tape_memory
 from walker_jax.kernels.builder import FAST, Builder
-from walker_jax.kernels.cell_functions import call_cell, call_other, define_cell
+from walker_jax.kernels.cell_functions import call_cell, call_other, define_cell, lanes_of
 from walker_jax.kernels.entries import Unrolling
 from walker_jax.kernels.jaxprs import (
     CALLS,
@@ -340,12 +340,6 @@ LLVMEmitter.rules = {
 }
 
 
-def lanes_of(operands: list, results: list, bits: int) -> int:
-    """Return the number of cells of a vector; with 0 bits one, as for a thread."""
-    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
-    return max(1, bits // 8 // max(floats, default=8))
-
-
 def emit(
     closed: ClosedJaxpr, operands: list, results: list, bits: int, shared: bool = False
 ) -> str:
@@ -353,7 +347,7 @@ def emit(
 
     A vector should fill one register of the processor. LLVM splits a longer one over several
     registers, and a long function then runs out of them: with registers of 256 bits, vectors of 512
-    take twice as long to compile and run no faster. With 0 bits there is one lane, as for a thread.
+    take twice as long to compile and run no faster.
 
     The program is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of
