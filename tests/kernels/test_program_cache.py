@@ -202,12 +202,13 @@ def test_each_solver_has_a_program_of_its_own():
     assert len(states) == 3 and np.asarray(again.state).tobytes() in states
 
 
-def test_results_that_are_no_tuples_are_not_kept(folder):
+def test_results_of_other_classes_are_not_kept(folder):
     avals = [jax.typeof(jnp.zeros(2))]
-    traced = program_cache.Traced(avals, avals, jax.tree.structure({"a": 0}), 1, "digest")
-    program_cache.keep_trace("b" * 64, traced)
-    assert not folder.exists()
-    like: Any = (0, (1, 2), 3)
+    traced = program_cache.Traced(avals, avals, jax.tree.structure({1: 0}), 1, "digest")
+    for results in ({1: 0}, SimplestWalker(0.004)):
+        program_cache.keep_trace("b" * 64, traced._replace(tree=jax.tree.structure(results)))
+        assert not folder.exists()
+    like: Any = (0, ({"b": [1, None, {}], "a": 2}, 2), ())
     kept = traced._replace(tree=jax.tree.structure(wj.Stride(*like)))
     program_cache.keep_trace("b" * 64, kept)
     assert program_cache.recall_trace("b" * 64) == kept

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.walking import explanation
+from walker_jax.walking import explanation, steps_of_modes
 from walker_jax.walking.undecided import doubts
 
 WALKER = wj.SimplestWalker(0.009)
@@ -406,7 +406,7 @@ def test_a_map_is_explained_too():
 def test_after_the_steps_that_are_recorded_the_end_is_found(system, monkeypatch):
     x = jnp.array([0.2])
     (whole,), of_whole = (found := wj.explain(system, x)).modes, found.complaints
-    monkeypatch.setattr(explanation, "MOST_RECORDED", 2)
+    monkeypatch.setattr(steps_of_modes, "MOST_RECORDED", 2)
     (part,), of_part = (found := wj.explain(system, x)).modes, found.complaints
     assert (part.steps, part.led_to, of_part) == (whole.steps, whole.led_to, of_whole)
     assert part.steps > 2 and part.time == whole.time and part.rises == whole.rises

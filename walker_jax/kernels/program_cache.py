@@ -265,25 +265,37 @@ def describe_aval(aval: Any) -> tuple:
 
 
 def encode_tree(tree: Any) -> Any:
-    """Encode a tree of results for a file: tuples, and named tuples by their classes."""
-    data = tree.node_data()
-    if data is None:
+    """Encode a tree of results for a file, by classes of nodes and keys of dictionaries."""
+    if tree.node_data() is None:
         return 0
-    kind, _ = data
-    if kind is not tuple and not hasattr(kind, "_fields"):
+    kind, keys = tree.node_data()
+    place = definition_place(kind)
+    if place not in MAKERS and not hasattr(kind, "_fields"):
         raise Unknown
-    return [definition_place(kind), *map(encode_tree, tree.children())]
+    keys = keys if kind is dict else []
+    if not all(isinstance(key, str) for key in keys):
+        raise Unknown
+    return [place, keys, *map(encode_tree, tree.children())]
 
 
 def decode_tree(like: Any) -> Any:
     """Decode a tree of results, with zeros for its leaves."""
     if like == 0:
         return 0
-    place, *children = like
+    place, keys, *children = like
     children = list(map(decode_tree, children))
-    if place == "builtins:tuple":
-        return tuple(children)
+    if place in MAKERS:
+        return MAKERS[place](keys, children)
     module, name = place.split(":")
     if module.partition(".")[0] != PACKAGE:
         raise ImportError(place)
     return getattr(importlib.import_module(module), name)(*children)
+
+
+MAKERS: dict[str, Callable] = {
+    "builtins:dict": lambda keys, children: dict(zip(keys, children, strict=True)),
+    "builtins:list": lambda keys, children: children,
+    "builtins:tuple": lambda keys, children: tuple(children),
+    "builtins:NoneType": lambda keys, children: None,
+}
+"""By the place of a class of Python's own: how a node of it is made from keys and children."""

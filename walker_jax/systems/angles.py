@@ -4,15 +4,15 @@ A section is cut open where its angles jump, as from pi to -pi. Two points on bo
 are near each other, so points are compared after one is turned towards the other.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from walker_jax.integrators.roots import Scalar
-from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import System
 
 NEAR = 1e-3
@@ -46,13 +46,8 @@ def difference(x: Any, other: Any, turns: Turns) -> Any:
     return turn_to(x, other, turns) - other
 
 
-def unnamed_angles(system: HybridSystem, x: Float[Array, " section"]) -> list[str]:
-    """Return the names of coordinates of which `project` takes full turns, but which are no angles.
-
-    It would be a mistake not to name them as `angles`.
-    """
-    again = jax.vmap(lambda x: system.project(system.lift(x)))
+def takes_turns_off(function: Callable, x: Float[Array, " section"]) -> Bool[Array, " section"]:
+    """Return whether a function takes full turns off each coordinate, as off an angle."""
+    again = jax.vmap(function)
     turned = again(x[None] + 2 * np.pi * jnp.eye(len(x), dtype=x.dtype))
-    same = jnp.all(jnp.abs(turned - again(x[None])) < NEAR, axis=1)
-    found = zip(system.section, same.tolist(), strict=True)
-    return [name for name, one in found if one and name not in system.angles]
+    return jnp.all(jnp.abs(turned - again(x[None])) < NEAR, axis=1)

@@ -1,15 +1,16 @@
 """Checks of a model: its starts, its section, where its strides end, and its energy."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from walker_jax.hybrid.modes import SECTION, Mode
-from walker_jax.systems.angles import unnamed_angles
+from walker_jax.kernels import kernel
+from walker_jax.systems.angles import takes_turns_off
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import System
 from walker_jax.walking.starts import on_section
@@ -24,21 +25,55 @@ def format_point(values: Float[np.ndarray, " n"]) -> str:
     return f"({', '.join(f'{value:.9g}' for value in values)})"
 
 
+class StartOfStride(NamedTuple):
+    """What a system does with a point of the section."""
+
+    feasible: Bool[Array, ""]
+    may_launch: Bool[Array, ""]
+    first: Any
+    """The state in which the stride begins."""
+    rates: Any
+    """Its rates."""
+    back: Float[Array, " section"]
+    """The point, lifted and projected."""
+    again: Float[Array, " section"]
+    """The same of `back`, as an angle may be wrapped once."""
+    turned: Bool[Array, " section"]
+    """Whether this takes a full turn off each coordinate."""
+
+
+@kernel
+def begin_stride(system: HybridSystem, x: Float[Array, " section"]) -> StartOfStride:
+    """Begin a stride from a point, in one compiled program."""
+    first = system.launch(x)
+    first_mode, *_ = modes_from(system, x).values()
+    there_and_back = lambda x: system.project(system.lift(x))
+    back = there_and_back(x)
+    return StartOfStride(
+        feasible=jnp.asarray(system.feasible(x)),
+        may_launch=jnp.asarray(system.may_launch(x, first)),
+        first=first,
+        rates=first_mode.rates(first),
+        back=back,
+        again=there_and_back(back),
+        turned=takes_turns_off(there_and_back, x),
+    )
+
+
 def check_point(system: System, x: Any) -> list[str]:
     """Return complaints about a start."""
     if not on_section(system, x):
         return []
-    if not bool(system.feasible(x)):
-        return ["the start is not feasible"]
     if not isinstance(system, HybridSystem):
-        return []
-    first = system.launch(x)
-    if names := not_finite(first):
+        return [] if bool(system.feasible(x)) else ["the start is not feasible"]
+    found = begin_stride(system, x)
+    if not found.feasible:
+        return ["the start is not feasible"]
+    if names := not_finite(found.first):
         return [f"the state that lift returns is not finite: {names}"]
-    first_mode, *_ = modes_from(system, x).values()
-    if names := not_finite(first_mode.rates(first)):
+    if names := not_finite(found.rates):
         return [f"the vector field at the start is not finite: the rate of {names}"]
-    if not bool(system.may_launch(x, first)):
+    if not found.may_launch:
         return ["the start is not feasible"]
     return []
 
@@ -47,13 +82,14 @@ def check_projection(system: HybridSystem, x: Any) -> list[str]:
     """Return a complaint if `lift` and `project` change a point, or wrap an unnamed angle."""
     if not on_section(system, x):
         return []
-    back = system.project(system.lift(x))
-    again = system.project(system.lift(back))  # an angle may be wrapped, once
-    rounding = 64 * float(jnp.finfo(back.dtype).eps) * max(1.0, float(jnp.max(jnp.abs(back))))
-    if not float(jnp.max(jnp.abs(again - back))) <= rounding:
-        return [f"project(lift(x)) is {format_point(np.asarray(back))}"]
-    if unnamed := unnamed_angles(system, x):
-        return [f"project takes full turns off {unnamed[0]}, which angles does not name"]
+    found = begin_stride(system, x)
+    back = np.asarray(found.back)
+    rounding = 64 * np.finfo(back.dtype).eps * max(1.0, np.max(np.abs(back)))
+    if not np.max(np.abs(found.again - back)) <= rounding:
+        return [f"project(lift(x)) is {format_point(back)}"]
+    for name, turned in zip(system.section, found.turned.tolist(), strict=True):
+        if turned and name not in system.angles:
+            return [f"project takes full turns off {name}, which angles does not name"]
     return []
 
 

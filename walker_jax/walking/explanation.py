@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
@@ -17,17 +16,10 @@ from jaxtyping import Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.following import (
     NO_GUARD,
-    Unfinished,
-    begin_following,
-    follow_measured,
-    integrate_mode,
 )
-from walker_jax.hybrid.graphs import suit_state
-from walker_jax.hybrid.misses import turns_in_step
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
-from walker_jax.integrators.integrator import AnySolver, Integrator, Method
-from walker_jax.integrators.roots import Real, Scalar
-from walker_jax.kernels import kernel
+from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
@@ -39,41 +31,19 @@ from walker_jax.walking.consistency import (
     check_projection,
     format_point,
 )
-from walker_jax.walking.guards import Numbers, method_of, number_due
+from walker_jax.walking.guards import Numbers
 from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.steps_of_modes import Followed, ModeStart, Rise, begin_mode, follow_steps
 from walker_jax.walking.stride import modes_from, stride
 from walker_jax.walking.undecided import (
     doubts,
     not_finite,
-    steps_ran_out,
-    why_it_stops,
 )
 
 MOST_RISES = 20
 """Most rises of a mode that are reported: the last ones."""
 MOST_MODES = 100
 """Most modes of a stride that are recorded."""
-MOST_STUCK = 100
-"""A mode is given up after so many steps without length, which are those that a solver rejects."""
-MOST_RECORDED = 10_000
-"""Most steps of a mode that are recorded one by one; then only its end is found. To record a step
-takes a thousand times as long as to make it."""
-
-ROUNDING = 1e-9
-"""Part of a step within which two guards rise at once."""
-
-
-class Rise(NamedTuple):
-    """A guard that rose through zero."""
-
-    mode: str
-    guard: int
-    leads_to: str
-    """The name of a mode, the section, or a failure."""
-    time: float
-    """Time since the start of the mode."""
-    admitted: bool
-    """Whether it counted; the first admitted rise ends the mode."""
 
 
 class ModeRecord(NamedTuple):
@@ -248,9 +218,8 @@ def record_modes(
     modes, state, records = modes_from(system, x), system.launch(x), []
     numbers, (name, *_) = failures_by_name(system), modes
     while len(records) < MOST_MODES:
-        record, state, guard = record_mode(
-            name, modes[name], numbers, state, integrator, bool(records)
-        )
+        start = ModeStart(system, x, state, integrator, name, bool(records))
+        record, state, guard = record_mode(start, modes[name], numbers)
         records.append(record)
         if guard is None or not all(value > 0 for value in record.held.values()):
             return records, None
@@ -265,24 +234,18 @@ def record_modes(
 
 
 def record_mode(
-    name: str,
-    mode: Mode,
-    numbers: Numbers,
-    state: Any,
-    integrator: Integrator,
-    switched: bool,
+    start: ModeStart, mode: Mode, numbers: Numbers
 ) -> tuple[ModeRecord, Any, Guard | None]:
     """Follow a mode from a state: its record, its last state, and the guard that leads on.
 
     There is none if the mode ends in a failure, or by no guard.
     """
-    mode = suit_state(name, mode, state)._replace(early_exit=None)
-    method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
-    mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
-    made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
-    number = due = number_due(mode, numbers, method, state, switched)
+    name, state = start.name, start.state
+    begun, values, due = begin_mode(start)
+    number = due = int(due)
+    made = Followed(begun, [], [*map(float, values)], [(0.0, state)], "")
     if due == NO_GUARD:
-        made = follow_steps(name, mode, method, made)
+        made = follow_steps(start, mode, made)
         number = int(made.end.guard)
     guard = None if number == NO_GUARD else mode.guards[number]
     led_to = guard.leads_to if guard else ""
@@ -306,63 +269,6 @@ def record_mode(
         doubts=tuple(doubts(name, mode, made.way)) if count else (),
     )
     return record, there, guard
-
-
-class Followed(NamedTuple):
-    """A mode that was followed step by step."""
-
-    end: Unfinished
-    rises: list[Rise]
-    greatest: list[float]
-    """The greatest value of each guard at the ends of steps."""
-    way: list[tuple[float, Any]]
-    """The time and the state at the start and at the end of each step."""
-    reason: str
-    """Why nothing ended it."""
-
-
-def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Followed:
-    """Follow a mode to its end, or to where the integration gives up."""
-    names = [guard.leads_to for guard in mode.guards]
-    now, rises, greatest, way, _ = begun
-    stuck = 0
-
-    @kernel
-    def step(now: Unfinished) -> tuple[Unfinished, list[Scalar], list[Scalar]]:
-        """Make a step; return the values of guards at its end, and when rises were refused."""
-        now, seen = follow_measured(mode, method, now)
-        whole = seen._replace(until=seen.length)  # a rise may be refused just at the end
-        pairs = zip(mode.guards, seen.crossings, strict=True)
-        turns = [turns_in_step(*pair, whole) for pair in pairs]
-        refused = [jnp.where(one.refused, one.time, jnp.inf) for one in turns]
-        return now, [guard.value(now.arrival) for guard in mode.guards], refused
-
-    while int(now.guard) == NO_GUARD and int(now.count) < min(mode.most_steps, MOST_RECORDED):
-        before, (now, values, refused) = now, step(now)
-        time, length = float(now.last.time), float(now.last.length)
-        stuck = 0 if length > 0 else stuck + 1
-        if not np.isfinite(length) or stuck > MOST_STUCK:
-            reason = why_it_stops(mode, method, before.last.end, time)
-            return Followed(before, rises, greatest, way, reason)
-        found = [Rise(name, i, names[i], time + float(t), False) for i, t in enumerate(refused)]
-        end = float(now.time) + ROUNDING * length
-        rises += sorted((one for one in found if one.time <= end), key=lambda one: one.time)
-        greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
-        way.append((time + length, now.last.end))
-    if int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
-        now = kernel(lambda now: integrate_mode(mode, method, now, measured=False)[0])(now)
-        time = float(now.last.time)
-        if not np.isfinite(time + float(now.last.length)):
-            reason = why_it_stops(mode, method, now.last.start, time)
-            before = now._replace(arrival=now.last.start, time=now.last.time, count=now.count - 1)
-            return Followed(before, rises, greatest, way, reason)
-    guard = int(now.guard)
-    if guard == NO_GUARD:
-        return Followed(
-            now, rises, greatest, way, steps_ran_out(mode, float(now.time), now.arrival)
-        )
-    rises.append(Rise(name, guard, names[guard], float(now.time), True))
-    return Followed(now, rises, greatest, way, "")
 
 
 def least_values(mode: Mode, ends: tuple[Any, Any], misses: Any) -> dict[str, float]:

@@ -41,17 +41,19 @@ def guard_due(
     return found, rises
 
 
-def number_due(mode: Mode, numbers: Numbers, method: Method, state: Any, switched: bool) -> int:
+def number_due(
+    mode: Mode, numbers: Numbers, method: Method, state: Any, switched: bool
+) -> Int[Array, ""]:
     """Return the number of the guard that ends a mode as it begins; `NO_GUARD` if none does.
 
     Failures come first (`fall_of`, `guard_due`).
     """
-    for i, one in enumerate(mode.guards):
-        fails = one.at_once and one.leads_to in numbers
-        if fails and ends_at_once(mode, one, state, switched):
-            return i
     due, _ = guard_due(mode, numbers, method, state, switched)
-    return NO_GUARD if due is None else int(due)
+    found = jnp.asarray(NO_GUARD if due is None else due, jnp.int32)
+    for i, one in reversed([*enumerate(mode.guards)]):
+        if one.at_once and one.leads_to in numbers:
+            found = jnp.where(ends_at_once(mode, one, state, switched), i, found)
+    return found
 
 
 def leads_on(guard: Guard, numbers: Numbers) -> bool:
