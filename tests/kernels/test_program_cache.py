@@ -208,12 +208,15 @@ def test_results_of_other_classes_are_not_kept(folder):
     for results in ({1: 0}, SimplestWalker(0.004)):
         program_cache.keep_trace("b" * 64, traced._replace(tree=jax.tree.structure(results)))
         assert not folder.exists()
-    like: Any = (0, ({"b": [1, None, {}], "a": 2}, 2), ())
+    like: Any = (0, ({"b": [1, None], "a": 2}, 2), ())
     kept = traced._replace(tree=jax.tree.structure(wj.Stride(*like)))
     program_cache.keep_trace("b" * 64, kept)
     assert program_cache.recall_trace("b" * 64) == kept
     content = json.loads(object_cache.recall("b" * 64) or b"")
-    assert content["tree"] == ["walker_jax.systems.outcomes:Stride", 0, ["builtins:tuple", 0, 0], 0]
+    inner = ["builtins:list", [], 0, ["builtins:NoneType", []]]
+    pair = ["builtins:tuple", [], ["builtins:dict", ["a", "b"], 0, inner], 0]
+    stride = ["walker_jax.systems.outcomes:Stride", [], 0, pair, ["builtins:tuple", []]]
+    assert content["tree"] == stride
 
 
 def test_wrong_use_is_still_refused(folder):
