@@ -26,7 +26,7 @@ def format_point(values: Float[np.ndarray, " n"]) -> str:
 
 
 class StartOfStride(NamedTuple):
-    """What a system does with a point of the section."""
+    """The start of a stride from a point of the section."""
 
     feasible: Bool[Array, ""]
     may_launch: Bool[Array, ""]

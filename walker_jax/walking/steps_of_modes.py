@@ -49,7 +49,7 @@ class Rise(NamedTuple):
 
 
 class ModeStart(eqx.Module):
-    """Where a mode begins, and what belongs to it; values of functions of compiled programs."""
+    """The start of a mode, and all that its compiled programs depend on."""
 
     system: HybridSystem
     x: Any
