@@ -8,13 +8,14 @@ PLACE = "<!-- the options of every command -->"
 def on_page_markdown(markdown, *, page, config, files):
     if PLACE not in markdown:
         return markdown
+    from click import Context
+
     from walker_jax.cli.app import NAMES, load
-    from walker_jax.cli.help_page import as_typed, meaning
     from walker_jax.cli.walker_options import DESCRIBED, Chosen, option_for
 
     def table(options):
-        rows = ((as_typed(one), meaning(one)) for one in options)
-        escaped = ([part.replace("|", "\\|") for part in row] for row in rows)
+        rows = (one.get_help_record(Context(load("walk"))) for one in options)
+        escaped = ([part.replace("|", "\\|") for part in row] for row in rows if row)
         rows = [f"| `{flag}` | {text} |" for flag, text in escaped]
         return "\n".join(["| | |", "|---|---|", *rows])
 

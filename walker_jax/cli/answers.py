@@ -15,7 +15,7 @@ from walker_jax.refusals import WrongPlace
 
 PICTURES = (".png", ".svg", ".pdf")
 """Formats with a title, which holds the signature of the request."""
-OVERWRITE: Any = option(False, "Replace what is there.")
+OVERWRITE: Any = option(False, "Replace what is there.", theme="Output")
 
 
 def request_for(
@@ -57,15 +57,10 @@ def check_picture(path: Path | None, request: dict, *, overwrite: bool, film: bo
         lib.storage.check_picture(path, request, overwrite=overwrite, argument=argument)
 
 
-class Files(Group, theme="Output"):
-    """Whether the files of an answer replace others."""
-
-    overwrite: bool = OVERWRITE
-
-
 class Output(Group):
     """The places of a command's data set and picture."""
 
+    theme = "Output"
     out: Path = option(Path(), "Where the data set goes.")
     figure: Path | None = option(None, "Where the picture goes (default: beside it, .png).")
     overwrite: bool = OVERWRITE
@@ -131,9 +126,10 @@ class Output(Group):
         return f"  data set {self.out}, picture {self.picture}{shot}"
 
 
-class Pieces(Group, theme="Processes"):
+class Pieces(Group):
     """The processes that compute the pieces of a data set."""
 
+    theme = "Processes"
     workers: int | None = option(
         None, "Processes that share the cores (Dask).", excludes=("scheduler",)
     )

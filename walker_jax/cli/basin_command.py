@@ -21,76 +21,39 @@ from walker_jax.cli.answers import (
     terms_of,
 )
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Axis, Choice, Group, only_given, option, refuse
-from walker_jax.cli.section import PHIDOT, SlicedWindow, check_section, grid_of
+from walker_jax.cli.options import Choice, option, refuse
+from walker_jax.cli.section import axes_option, check_section, grid_of, window_on
 from walker_jax.refusals import WrongUse
 
 UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 """Units of the sizes of basins."""
 
 
-class BasinWindow(SlicedWindow):
-    """A window of two dimensions or three, sheared or plain."""
-
-    at_phidot: float | None = option(None, "A slice of such a section (default: at the gait).")
-    thetadot: Axis | None = option(
-        None, "The plain section: thetadot in the place of --sum.", excludes=("sum",)
-    )
-    phidot: Axis | None = option(
-        None, f"{PHIDOT}: a grid of three dimensions.", excludes=("at_phidot",)
-    )
-
-
-class Method(Group):
-    method: str | None = option(
-        None,
-        "How (default: cell-map for walkers, direct for other systems and for slices).",
-        type=Choice("cell-map", "direct"),
-    )
-    strides: int | None = option(None, "Strides at most, direct only (default: 200).")
-    levels: int | None = option(
-        None,
-        "Halve boundary cells this many times: area or volume with its error.",
-        least=0,
-        most=8,
-    )
-    seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", least=0)
-    zoom: float | None = option(
-        None, "A window on the boundary, narrowed by this factor, up to 1e14.", excludes=("levels",)
-    )
-    near: tuple[float, float] | None = option(
-        None, "Zoom to the boundary's point nearest to this one."
-    )
-    animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
-    frames: int | None = option(None, "Pictures of the film (default: 120).", least=2)
-
-    def settings(
-        self, walker: "wj.System", window: BasinWindow, axes: dict[str, Any]
-    ) -> dict[str, Any]:
-        """Return the method and its settings on these axes."""
-        at_gait = "phidot" in axes and axes["phidot"] is None
-        direct = ""  # the reason why the method must be direct
-        if self.levels is not None:
-            direct = "with --levels, not cell-map"
-        elif self.zoom is not None:
-            direct = "with --zoom, as walkers leave its window: leave out --method"
-        elif at_gait or any(isinstance(one, float) for one in axes.values()):
-            whole = "a range for each --axis" if window.axis else "--phidot"
-            direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
-        method = self.method or (
-            "direct" if direct or not isinstance(walker, wj.Walker) else "cell-map"
-        )
-        if direct and method == "cell-map":
-            raise WrongUse(f"--method must be direct {direct}")
-        if method == "cell-map":
-            refuse("is for --method direct alone: give it too", strides=self.strides)
-            return {"method": method}
-        settings: dict[str, Any] = {"method": method, "strides": self.strides or 200}
-        if self.levels is not None:
-            settings |= {"levels": self.levels, "seed": self.seed or 0}
-        if self.zoom is not None:
-            settings |= {"zoom": self.zoom, "near": self.near}
-        return settings
+def settings_of(
+    walker: "wj.System",
+    axes: dict[str, Any],
+    method: str | None,
+    strides: int | None,
+    levels: int | None,
+    zoom: float | None,
+) -> dict[str, Any]:
+    """Return the method, and its strides at most."""
+    direct = ""  # the reason why the method must be direct
+    if levels is not None:
+        direct = "with --levels, not cell-map"
+    elif zoom is not None:
+        direct = "with --zoom, as walkers leave its window: leave out --method"
+    elif axes.get("phidot", ()) is None or any(isinstance(one, float) for one in axes.values()):
+        whole = "a range for each --axis"
+        direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
+    if direct and method == "cell-map":
+        raise WrongUse(f"--method must be direct {direct}")
+    if method is None:
+        method = "direct" if direct or not isinstance(walker, wj.Walker) else "cell-map"
+    if method == "cell-map":
+        refuse("is for --method direct alone: give it too", strides=strides)
+        return {"method": method}
+    return {"method": method, "strides": strides or 200}
 
 
 @command(
@@ -103,35 +66,59 @@ class Method(Group):
     time="Five seconds for the paper's grid, and a second for each further million cells.",
     out="basin.zarr",
 )
-def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output):
+def basin(
+    walker: "wj.System",
+    pieces: Pieces,
+    output: Output,
+    axes: dict[str, Any] = axes_option("Window"),
+    method: str | None = option(
+        None,
+        "How (default: cell-map for walkers, direct for other systems and for slices).",
+        type=Choice("cell-map", "direct"),
+    ),
+    strides: int | None = option(None, "Strides at most, direct only (default: 200)."),
+    levels: int | None = option(
+        None,
+        "Halve boundary cells this many times: area or volume with its error.",
+        least=0,
+        most=8,
+    ),
+    seed: int = option(0, "Seed of random numbers.", least=0, needs="levels"),
+    zoom: float | None = option(
+        None, "A window on the boundary, narrowed by this factor, up to 1e14.", excludes=["levels"]
+    ),
+    near: tuple[float, float] | None = option(
+        None, "Zoom to the boundary's point nearest to this one.", needs="zoom"
+    ),
+    animate: Path | None = option(
+        None, "Where a film of the zoom goes, .gif or .mp4.", needs="zoom"
+    ),
+    frames: int = option(120, "Pictures of the film.", least=2, needs="animate"),
+):
     """Compute and draw the basin of attraction of a walker's gait.
 
     The default is the window of Schwab and Wisse (2001), Figure 4; for another walker the window is
     around its gait. With --levels a section of three dimensions is taken whole. The same command
     resumes an interrupted run.
     """
-    if asked.levels is None:
-        refuse("is for --levels alone: give it too", seed=asked.seed)
-    if asked.animate is None:
-        refuse("is for --animate: give it too", frames=asked.frames)
-    if asked.zoom is None:
-        refuse("is for a --zoom: give it too", near=asked.near, animate=asked.animate)
-    elif window.phidot is not None and only_given(near=asked.near, animate=asked.animate):
-        both = "--near and --animate are for a window of two dimensions"
-        raise WrongUse(f"{both}: leave out --phidot")
-    check_section(walker, window.axis)
-    axes, cluster = window.axes(walker, 3 if asked.zoom is None else 2), pieces.cluster
-    if asked.levels is not None:
+    check_section(walker, axes)
+    axes, cluster = window_on(walker, axes, 2 if near or animate else 3), pieces.cluster
+    if levels is not None:
         if cluster is not None:
             raise WrongUse(
                 "--workers and --scheduler are for pieces, not for --levels: leave them out"
             )
         known = lib.whole_section(walker)
-        if known is not None and not window.axis and window.at_phidot is None:
+        if known is not None and not isinstance(axes["phidot"], float):
             axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
-    request = request_for("basin", walker, axes=axes, **asked.settings(walker, window, axes))
-    shots, film = request | {"frames": asked.frames or 120}, asked.animate
-    check_picture(film, shots, overwrite=output.overwrite, film=True)
+    settings = settings_of(walker, axes, method, strides, levels, zoom)
+    if levels is not None:
+        settings |= {"levels": levels, "seed": seed}
+    if zoom is not None:
+        settings |= {"zoom": zoom, "near": near}
+    request = request_for("basin", walker, axes=axes, **settings)
+    shots = request | {"frames": frames}
+    check_picture(animate, shots, overwrite=output.overwrite, film=True)
     data = output.find(request)
     kept = f"taken from {output.out}, computed before" if data is not None else ""
     resumed = not kept and output.out.exists() and not output.overwrite
@@ -140,8 +127,8 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
         data = compute(walker, request, output, cluster)
     seconds = clock.seconds()
     output.draw(draw_basin(walker, data, request), request)
-    if film is not None:
-        draw_film(walker, data, shots, film)
+    if animate is not None:
+        draw_film(walker, data, shots, animate)
     counts, terms = lib.tally(data), terms_of(walker)
     answer: dict[str, Any] = slope_of(request["walker"]) | {"method": data.attrs["method"]}
     answer |= lib.summarise_basin(data, counts)
@@ -165,7 +152,7 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
         yield f"  {cells} come near no known attractor"
     yield f"  {kept or effort(data, answer, counts, terms)}"
     yield f"  {next_step(answer, request, terms)}"
-    yield output.places(film)
+    yield output.places(animate)
 
 
 def compute(

@@ -8,7 +8,8 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Ranged, hyphenated, option, underscored
+from walker_jax.cli.options import hyphenated, option, underscored
+from walker_jax.cli.walker_options import check_range
 from walker_jax.refusals import WrongUse
 from walker_jax.walkers.parameter_table import KNEED_SLOPE, SLOPE
 
@@ -26,15 +27,6 @@ def help_of_end(which: str, end: int) -> str:
     return f"{which} value (default, of the slope: {slopes})."
 
 
-class Branches(Ranged, theme="Branches"):
-    over: str = option("slope", "The parameter that changes, from --from to --to.")
-    low: float | None = option(None, help_of_end("Lowest", 0), "--from")
-    high: float | None = option(None, help_of_end("Highest", 1), "--to")
-    period_max: int = option(8, "Longest period of the gaits that are followed.", most=64)
-    strides: int = option(3000, "Strides after which a walker counts as walking for ever.")
-    normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
-
-
 @command(
     examples=(
         "bifurcation --from 0.001 --to 0.022",
@@ -43,19 +35,29 @@ class Branches(Ranged, theme="Branches"):
     ),
     time="Half a minute.",
     out="bifurcation.zarr",
+    ranged=True,
 )
-def bifurcation(walker: "wj.System", asked: Branches, output: Output):
+def bifurcation(
+    walker: "wj.System",
+    output: Output,
+    parameter: str = option("slope", "The parameter that changes, from --from to --to.", "--over"),
+    low: float | None = option(None, help_of_end("Lowest", 0), "--from"),
+    high: float | None = option(None, help_of_end("Highest", 1), "--to"),
+    period_max: int = option(8, "Longest period of the gaits that are followed.", most=64),
+    strides: int = option(3000, "Strides after which a walker counts as walking for ever."),
+    normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more."),
+):
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
-    over, low, high = underscored(asked.over), asked.low, asked.high
+    over = underscored(parameter)
     lib.check_parameter(walker, over)
     if usual := lib.span_of(type(walker), over):
         low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
     if low is None or high is None:
         missing = "--from" if low is None else "--to"
         raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
-    asked.check(walker, low, high)
-    how: Any = {"period_max": asked.period_max, "strides": asked.strides}
-    how |= {"normal_forms": True} if asked.normal_forms else {}
+    check_range(walker, over, low, high)
+    how: Any = {"period_max": period_max, "strides": strides}
+    how |= {"normal_forms": True} if normal_forms else {}
     walker = lib.with_parameter(walker, over, low)
     asked_for = {"over": over, "range": [low, high], **how}
     request = request_for("bifurcation", walker, without=[over], **asked_for)
@@ -67,7 +69,7 @@ def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     terms = terms_of(walker)
     yield answer
     yield f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
-    yield from bifurcations_in_words(answer, over, asked.strides, terms)
+    yield from bifurcations_in_words(answer, over, strides, terms)
     yield output.places()
 
 

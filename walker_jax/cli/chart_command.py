@@ -7,16 +7,9 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
-from walker_jax.cli.section import Start, start_option
+from walker_jax.cli.options import RANGE, Axis, hyphenated, named, option
+from walker_jax.cli.section import start_on, start_option
 from walker_jax.refusals import WrongUse
-
-
-class Chart(Group):
-    over: dict[str, Axis] = named("A parameter, its ends and number of cells: give two.", RANGE)
-    start: dict[str, float] = start_option()
-    period_max: int = option(4, "Longest period of which curves are followed.", most=64)
-    strides: int = option(1000, "Strides before the period is read.")
 
 
 @command(
@@ -29,28 +22,36 @@ class Chart(Group):
     time="Half a minute; a minute for walkers with mass on their legs.",
     out="chart.zarr",
 )
-def chart(walker: "wj.System", asked: Chart, output: Output):
+def chart(
+    walker: "wj.System",
+    output: Output,
+    over: dict[str, Axis] = named(
+        "A parameter, its ends and number of cells: give two.", RANGE, sets=["parameter", "cells"]
+    ),
+    start: dict[str, float] = start_option(),
+    period_max: int = option(4, "Longest period of which curves are followed.", most=64),
+    strides: int = option(1000, "Strides before the period is read."),
+):
     """Chart two parameters: curves of bifurcations, and the periods of attractors between them.
 
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
-    for name, (low, high, count) in asked.over.items():
+    for name, (low, high, count) in over.items():
         lib.check_parameter(walker, name, low, high)
         own, typed = float(lib.value_of(walker, name)), hyphenated(name)
         if not low <= own <= high:
             ends = f"{typed}={low:g}:{high:g}:{count}"
             raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
-    if len(asked.over) != 2:
+    if len(over) != 2:
         raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
-    bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
-    cells = tuple(count for *_, count in asked.over.values())
-    how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
-    start = [*Start(start=asked.start).coordinates(walker).values()] or None
-    over = {name: list(ends) for name, ends in asked.over.items()}
-    request = request_for("chart", walker, start=start, over=over, **how)
+    bounds = {name: (low, high) for name, (low, high, _) in over.items()}
+    cells = tuple(count for *_, count in over.values())
+    how: Any = {"cells": cells, "period_max": period_max, "strides": strides}
+    guess, ranges = [*start_on(walker, start).values()] or None, {**over}
+    request = request_for("chart", walker, start=guess, over=ranges, **how)
 
     def compute():
-        gait, *_ = lib.selection.select_gaits(walker, guess=start, instead="try another --start")
+        gait, *_ = lib.selection.select_gaits(walker, guess=guess, instead="try another --start")
         return wj.chart(walker, bounds, gait, progress=True, **how)
 
     answer = lib.summarise_chart(output.produce(request, compute, "chart"))

@@ -6,7 +6,7 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import in_words, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.section import Start
+from walker_jax.cli.section import begin_at, start_on, start_option
 
 
 @command(
@@ -17,14 +17,14 @@ from walker_jax.cli.section import Start
     ),
     time="3 s, of a kneed walker 20 s.",
 )
-def explain(walker: "wj.System", start: Start):
+def explain(walker: "wj.System", start: dict[str, float] = start_option()):
     """Say why the stride from one start ends as it does, and whether a model fits together.
 
     Mode by mode: which guards rose through zero, when, and whether that counted; how near the
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
-    found = wj.explain(walker, start.begin(walker))
+    found = wj.explain(walker, begin_at(walker, start_on(walker, start)))
     known = found.name == "STRIDE"
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
