@@ -24,7 +24,7 @@ def on_page_markdown(markdown, *, page, config, files):
         parts += [f"`--walker {walker}`:", table(map(option_for, described))]
     for name in NAMES:
         command = load(name)
-        parts += [f"### walker-jax {name}", command.help, table(command.params)]
+        parts += [f"### walker-jax {name}", command.help, command.epilog, table(command.params)]
     return markdown.replace(PLACE, "\n\n".join(parts) + "\n")
 
 

@@ -146,11 +146,11 @@ def test_names_of_parameters_have_hyphens_or_underscores():
     for over in ("hip-stiffness", "hip_stiffness"):
         for bound in ("hip-stiffness=0:1", "hip_stiffness=0:1"):
             given = read(None, ["--walker", "spring", "--over", over, "--bound", bound]).params
-            assert given["bound"] == {"hip_stiffness": (0.0, 1.0)}
-            problem = optimise_command.Problem(over=given["over"], bound=given["bound"])
-            assert problem.bounds(walker) == {"hip_stiffness": (0.0, 1.0)}
+            assert given["bounds"] == {"hip_stiffness": (0.0, 1.0)}
+            found = optimise_command.bounds_of(walker, given["over"], given["bounds"])
+            assert found == {"hip_stiffness": (0.0, 1.0)}
         with pytest.raises(ValueError, match=r"^--bound is required for hip-stiffness: hip-stiff"):
-            optimise_command.Problem(over=[over]).bounds(walker)
+            optimise_command.bounds_of(walker, [over], {})
     assert optimise_command.objective_of(("least_disturbance",)) == "least-disturbance"
     assert optimise_command.objective_of(("step_length=2",)) == {"step-length": 2.0}
 

@@ -139,7 +139,7 @@ def test_maps_have_cycles_and_no_times(run):
     ],
 )
 def test_helps_claim_no_more_than_is_so(command, said):
-    assert said in " ".join(str(app.load(command).help).split())
+    assert said in " ".join(str(app.load(command).epilog).split())
 
 
 ROW = {"area": 1.0, "area_error": 0.1, "at_border": 0, "note": "", "step_down": math.inf}

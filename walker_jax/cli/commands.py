@@ -61,20 +61,20 @@ class Command(click.Command):
         ranged: bool = False,
         **defaults: Any,
     ):
-        self.run, self.examples, self.time = run, examples, time
-        self.opening, self.ranged = opening, ranged
+        self.run, self.examples, self.opening, self.ranged = run, examples, opening, ranged
         self.given = inspect.get_annotations(run)
         answers = self.given.pop("return", Any) is not None
         system = self.given.pop("walker", None)
         self.walkers, self.systems = system is not None, system == "wj.System"
         own = options_of(run, defaults)
-        paragraphs = inspect.cleandoc(run.__doc__ or "").split("\n\n")
+        purpose, _, more = inspect.cleandoc(run.__doc__ or "").partition("\n\n")
         super().__init__(
             run.__name__,
             SETTINGS,
             params=[*own, *[JSON] * answers, QUIET],
-            help="\n\n".join(" ".join(one.split()) for one in paragraphs),
-            short_help=" ".join(paragraphs[0].split()),
+            help=purpose,
+            short_help=" ".join(purpose.split()),
+            epilog=f"{more}\n\nTime on two cores: {time}",
         )
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
@@ -100,9 +100,6 @@ class Command(click.Command):
                         must = f"rename the parameter {name}"
                         raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
-        for one in self.params:
-            for other in getattr(one, "own", ()):
-                put_into(ctx.params, one, other)
         if ctx.args and not ctx.resilient_parsing:
             first, flags = ctx.args[0], flags_of(self.get_params(ctx))
             similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
@@ -145,23 +142,12 @@ class Command(click.Command):
         themes: dict[str, list[tuple[str, str]]] = {}
         for one in self.get_params(ctx):
             foreign = getattr(one, "into", "") and ctx.obj and ctx.obj.system
-            if isinstance(one, click.Option) and not foreign:
-                record = one.get_help_record(ctx)
+            record = one.get_help_record(ctx)
+            if isinstance(one, click.Option) and record and not foreign:
                 themes.setdefault(getattr(one, "theme", "Output"), []).append(record)
         for theme, records in themes.items():
             with formatter.section(theme):
                 formatter.write_dl(records, COLUMN)
-        formatter.write_paragraph()
-        formatter.write_text(f"Time on two cores: {self.time}")
-
-
-def put_into(params: dict[str, Any], whole: Option, one: Option) -> None:
-    """Put the value of an option for one name into the dictionary of the whole."""
-    value, name = params.pop(one.name, None), str(one.name).removeprefix("at_")
-    if value is not None:
-        if name in params[whole.name]:
-            raise WrongUse(f"{name_of(whole)} is given twice for {name}")
-        params[whole.name] = params[whole.name] | {name: value}
 
 
 def command(**about: Any) -> Callable[[Callable[..., Any]], Command]:

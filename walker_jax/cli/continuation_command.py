@@ -38,6 +38,7 @@ def continuation(
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
+    The default region is all of the section.
     """
     if parameter == DEFAULT and "slope" not in walker.spans:
         raise WrongUse(

@@ -85,7 +85,8 @@ def optimise(
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
 
     Measurements are saved as they are made: the same command resumes an interrupted run. The
-    picture shows the ascent, and the basins before and after.
+    picture shows the ascent, and the basins before and after. The default region is all of the
+    section.
     """
     names = objective or ("area",)
     bounds, weights, limits = bounds_of(walker, over, bounds), objective_of(names), {}
@@ -144,7 +145,7 @@ def computed(
                 raise
 
 
-def objective_of(texts: tuple[str, ...]) -> str | dict[str, float]:
+def objective_of(texts: Sequence[str]) -> str | dict[str, float]:
     """Read one objective by name, or the weights of several."""
     if len(texts) == 1 and "=" not in texts[0]:
         return hyphenated(texts[0])

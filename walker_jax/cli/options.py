@@ -16,7 +16,7 @@ import operator
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from math import inf, isfinite
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace, UnionType
+from types import SimpleNamespace, UnionType
 from typing import Any, ClassVar, TypeGuard, get_args
 
 import click
@@ -153,6 +153,15 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
     return found
 
 
+def put_into(ctx: Any, param: Any, value: Any) -> None:
+    """Put the value of an option for one name into the dictionary of all names."""
+    name, whole = param.name.removeprefix("at_"), ctx.params.get(param.into)
+    if value is not None and whole is not None:
+        if name in whole:
+            raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
+        whole[name] = value
+
+
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
     """Declare an option, with settings of `Option` and bounds of `Number`.
 
@@ -162,8 +171,13 @@ def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
 
 
 def named(help: str, *forms: str, **settings: Any) -> Any:
-    """Declare an option that may be given for several names; its value is a dictionary of them."""
-    return option((), help, type=Named(*forms), multiple=True, callback=collect, **settings)
+    """Declare an option that may be given for several names; its value is a dictionary of them.
+
+    Options of its `own`, each with its kind of value, are for one name each.
+    """
+    # It is read before its own ones, which add to its dictionary.
+    settings |= {"multiple": True, "callback": collect, "is_eager": True}
+    return option((), help, type=Named(*forms), **settings)
 
 
 def argument(metavar: str) -> Any:
@@ -175,8 +189,7 @@ class Option(click.Option):
     """An option of a theme of the help, for a value of a kind.
 
     It may exclude others, or need one, by their names. It `sets` arguments of the library, besides
-    that of its name. Options of its `own`, each of a kind, are for names of its dictionary: `into`
-    this one.
+    that of its name. Its value may go `into` the dictionary of another option.
     """
 
     def __init__(
@@ -189,7 +202,6 @@ class Option(click.Option):
         excludes: Collection[str] = (),
         needs: str = "",
         sets: Sequence[str] = (),
-        own: Mapping[str, Any] = MappingProxyType({}),
         into: str = "",
         **settings: Any,
     ):
@@ -198,15 +210,14 @@ class Option(click.Option):
             bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
             read, placeholder = READ[kind]
             settings = {"metavar": placeholder, **settings, "type": read(**bounds)}
-        settings.setdefault("is_flag", isinstance(settings["default"], bool))
+        settings.setdefault("is_flag", isinstance(settings.get("default"), bool))
         if not settings["is_flag"]:
             settings.setdefault("metavar", getattr(settings.get("type"), "name", "NAME"))
+        if into:
+            settings |= {"callback": put_into, "expose_value": False}
         super().__init__([name, *(flags or [option_of(name)])], show_default=True, **settings)
         self.theme, self.sets, self.into = theme, (name, *sets), into
         self.excludes, self.needs = excludes, needs
-        self.own = [
-            Option(key, kind, theme=theme, into=name, **one) for key, (kind, one) in own.items()
-        ]
 
     def handle_parse_result(self, ctx: click.Context, opts: Any, args: list[str]) -> Any:
         if self.name in opts and not ctx.resilient_parsing:
@@ -249,18 +260,22 @@ def options_of(owner: Any, defaults: Mapping[str, Any]) -> Iterator[click.Parame
     declared, theme = vars(owner), getattr(owner, "theme", "Options")
     if not is_group(owner):
         declared = {name: one.default for name, one in inspect.signature(owner).parameters.items()}
-    for name, kind in sorted(
-        inspect.get_annotations(owner).items(), key=lambda one: is_group(one[1])
-    ):
-        if is_group(kind):
+    annotated = inspect.get_annotations(owner)
+    for name in sorted(annotated, key=lambda name: is_group(annotated[name])):  # groups last
+        if is_group(kind := annotated[name]):
             yield from options_of(kind, defaults)
-        elif isinstance(settings := declared.get(name), dict):
-            if "help" not in settings:
-                yield click.Argument([name], type=READ[Path][0](), **settings)
-                continue
-            own = {"default": defaults[name]} if name in defaults else {}
-            one = Option(name, kind, **{"theme": theme} | settings | own)
-            yield from (one, *one.own)
+            continue
+        if not isinstance(declared.get(name), dict):
+            continue
+        settings = {"theme": theme, **declared[name]}
+        own = settings.pop("own", {})
+        if "help" in settings:
+            default = defaults.get(name, settings["default"])
+            yield Option(name, kind, **settings | {"default": default})
+        else:
+            yield click.Argument([name], type=READ[kind][0](), metavar=settings["metavar"])
+        for key, (of, one) in own.items():
+            yield Option(key, of, theme=settings["theme"], into=name, **one)
 
 
 def only_given(**options: Any) -> dict[str, Any]:

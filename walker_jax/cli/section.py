@@ -36,7 +36,7 @@ def axes_option(theme: str) -> Any:
         "phidot": (Axis, option(None, f"{PHIDOT}.")),
         "at_phidot": (float, option(None, "A slice of such a section.")),
     }
-    return axis_option(theme=theme, own=own, sets=["grid"])
+    return axis_option(theme=theme, own=own, sets=["grid", "axis"])
 
 
 def axis_option(**settings: Any) -> Any:

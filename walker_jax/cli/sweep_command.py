@@ -41,7 +41,7 @@ def sweep(
     """Compute basins, gaits and areas over one or more parameters, all combinations of them.
 
     Results are saved as they are computed: the same command resumes an interrupted run. The picture
-    shows the area over the first two parameters.
+    shows the area over the first two parameters. The default region is all of the section.
     """
     values = values_of(over)
     if not values:

@@ -76,8 +76,7 @@ def viable(
     if answer["inner_area"] is not None:
         between = f", between {answer['inner_area']:.4g} and {answer['outer_area']:.4g}"
     yield f"  area {answer['area']:.6g}{between}; passive basin {answer['target_area']:.6g}"
-    levels = answer["levels"] if len(answer["levels"]) > 1 else []
-    for n, one in enumerate(levels):
+    for n, one in enumerate(answer["levels"] if levels else []):
         areas = f"between {one['inner_area']:.4g} and {one['outer_area']:.4g}"
         yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
     step = terms_of(walker).step
