@@ -79,7 +79,7 @@ def test_the_help_of_a_command_begins_as_the_list_of_commands(run):
 @pytest.mark.parametrize("name", app.NAMES)
 def test_examples_of_a_command_are_read_as_its_options(name):
     command = app.load(name)
-    assert command.examples and re.search(r"Time on two cores: .*\.$", command.epilog, re.S)
+    assert command.examples and re.search(r"Time on two cores: .*\.$", str(command.epilog), re.S)
     for line in command.examples:
         own, *arguments = shlex.split(line)
         assert own == name

@@ -370,7 +370,7 @@ def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
         said = f"walker-jax: this was seed {seed}\n"
         assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)
     assert asked == [0, 3]
-    said = "walker-jax: --seed is for --levels alone: give it too\n"
+    said = "walker-jax: --seed goes with --levels: give it too\n"
     assert run("basin", "--seed", "1") == (2, "", said)
 
 

@@ -19,7 +19,11 @@ from walker_jax.cli.commands import command
 from walker_jax.cli.options import option
 from walker_jax.cli.section import start_on, start_option
 from walker_jax.cli.unit_options import UNITS, chosen_units, units_named
-from walker_jax.refusals import WrongUse
+
+GUESS: Any = (
+    tuple[float, float],
+    option(None, "Both of the first.", metavar="THETA THETADOT", keys=["theta", "thetadot"]),
+)
 
 
 @command(
@@ -36,25 +40,14 @@ from walker_jax.refusals import WrongUse
 )
 def gait(
     walker: "wj.System",
-    start: dict[str, float] = start_option(),
-    guess: tuple[float, float] | None = option(
-        None,
-        "Short for --theta and --thetadot.",
-        metavar="THETA THETADOT",
-        theme="Start",
-        excludes=["start", "theta", "thetadot", "all"],
-    ),
+    start: dict[str, float] = start_option(guess=GUESS),
     period: int = option(1, "Strides in a cycle."),
-    all: bool = option(False, "All gaits of the period, stable or not."),
+    all: bool = option(False, "All gaits of the period, stable or not.", excludes=["start"]),
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes."),
     units: dict[str, float] = UNITS,
     overwrite: bool = OVERWRITE,
 ):
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    if guess is not None:
-        start = {"theta": guess[0], "thetadot": guess[1], **start}
-    if all and start:
-        raise WrongUse("--start and --all exclude each other: give one of them")
     begin = [*start_on(walker, start).values()] or None
     chosen = chosen_units(units, walker)
     request = request_for("gait", walker, period=period, guess=begin, all=all)

@@ -13,7 +13,7 @@ without JAX, as do all modules of commands.
 
 import inspect
 import operator
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import inf, isfinite
 from pathlib import Path
 from types import SimpleNamespace, UnionType
@@ -154,12 +154,12 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
 
 
 def put_into(ctx: Any, param: Any, value: Any) -> None:
-    """Put the value of an option for one name into the dictionary of all names."""
-    name, whole = param.name.removeprefix("at_"), ctx.params.get(param.into)
-    if value is not None and whole is not None:
-        if name in whole:
+    """Put the value of an option for some names into the dictionary of all names."""
+    several = value if len(param.keys) > 1 else [value]
+    for name, one in zip(param.keys, several, strict=True) if value is not None else ():
+        if name in ctx.params[param.into]:
             raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
-        whole[name] = value
+        ctx.params[param.into][name] = one
 
 
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
@@ -173,7 +173,7 @@ def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
 def named(help: str, *forms: str, **settings: Any) -> Any:
     """Declare an option that may be given for several names; its value is a dictionary of them.
 
-    Options of its `own`, each with its kind of value, are for one name each.
+    Options of its `own`, each with its kind of value, are for some names.
     """
     # It is read before its own ones, which add to its dictionary.
     settings |= {"multiple": True, "callback": collect, "is_eager": True}
@@ -189,7 +189,8 @@ class Option(click.Option):
     """An option of a theme of the help, for a value of a kind.
 
     It may exclude others, or need one, by their names. It `sets` arguments of the library, besides
-    that of its name. Its value may go `into` the dictionary of another option.
+    that of its name. Its value may go `into` the dictionary of another option, under its name, or
+    under `keys`.
     """
 
     def __init__(
@@ -199,10 +200,11 @@ class Option(click.Option):
         *,
         theme: str = "Walker",
         flags: Sequence[str] = (),
-        excludes: Collection[str] = (),
+        excludes: Sequence[str] = (),
         needs: str = "",
         sets: Sequence[str] = (),
         into: str = "",
+        keys: Sequence[str] = (),
         **settings: Any,
     ):
         kind, *_ = get_args(kind) if isinstance(kind, UnionType) else (kind,)
@@ -217,16 +219,22 @@ class Option(click.Option):
             settings |= {"callback": put_into, "expose_value": False}
         super().__init__([name, *(flags or [option_of(name)])], show_default=True, **settings)
         self.theme, self.sets, self.into = theme, (name, *sets), into
-        self.excludes, self.needs = excludes, needs
+        self.excludes, self.needs, self.keys = excludes, needs, keys or [name]
 
     def handle_parse_result(self, ctx: click.Context, opts: Any, args: list[str]) -> Any:
         if self.name in opts and not ctx.resilient_parsing:
-            own, flags = name_of(self), {one.name: name_of(one) for one in ctx.command.params}
-            for other in opts.keys() & self.excludes:
-                both = f"{own} and {flags[other]}"
+            params = {one.name: one for one in ctx.command.params}
+            given = {
+                getattr(one, "into", "") or one.name: one
+                for one in params.values()
+                if one.name in opts
+            }
+            for other in given.keys() & self.excludes:
+                both = f"{name_of(self)} and {name_of(given[other])}"
                 raise WrongUse(f"{both} exclude each other: give one of them")
             if self.needs and self.needs not in opts:
-                raise WrongUse(f"{own} goes with {flags[self.needs]}: give it too")
+                other = name_of(params[self.needs])
+                raise WrongUse(f"{name_of(self)} goes with {other}: give it too")
         return super().handle_parse_result(ctx, opts, args)
 
 

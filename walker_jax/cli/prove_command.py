@@ -8,7 +8,6 @@ from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import option
 from walker_jax.cli.section import axes_option, grid_of, window_on
-from walker_jax.refusals import WrongUse
 
 
 @command(
@@ -28,6 +27,7 @@ def prove(
         None,
         "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",
         "--radius",
+        excludes=["axes"],
         above=0,
     ),
     levels: int = option(12, "Halve undecided cells this many times.", least=0),
@@ -41,8 +41,6 @@ def prove(
     is resumed by the same command.
     """
     lib.check_provable(walker)
-    if region is not None and axes:
-        raise WrongUse("--radius and --axis exclude each other: give one of them")
     axes = window_on(walker, axes) if region is None else {}
     request = request_for("prove", walker, radius=region, axes=axes, levels=levels)
 

@@ -13,18 +13,21 @@ from walker_jax.refusals import WrongUse
 
 WINDOW_CELLS = 200
 """Cells along each axis of a default window."""
+OWN = "theta", "sum", "thetadot", "phidot"
+"""Coordinates that have options of their own."""
 PHIDOT = "Rate between the legs, on sections that have it"
 
 
-def start_option(**settings: Any) -> Any:
-    """Declare the options for the coordinates of a start."""
+def start_option(**more: Any) -> Any:
+    """Declare the options for the coordinates of a start, and more of them."""
     own = {
         "theta": (float, option(None, "Stance angle, rad.")),
         "thetadot": (float, option(None, "Its rate, rad per unit of time.")),
         "phidot": (float, option(None, f"{PHIDOT}.")),
+        **more,
     }
     text = "A coordinate of the start, by name: one for each."
-    return named(text, "VALUE", theme="Start", own=own, **settings)
+    return named(text, "VALUE", theme="Start", own=own)
 
 
 def axes_option(theme: str) -> Any:
@@ -34,7 +37,7 @@ def axes_option(theme: str) -> Any:
         "sum": (Axis, option(None, "theta + thetadot.")),
         "thetadot": (Axis, option(None, "The plain section: thetadot in the place of --sum.")),
         "phidot": (Axis, option(None, f"{PHIDOT}.")),
-        "at_phidot": (float, option(None, "A slice of such a section.")),
+        "at_phidot": (float, option(None, "A slice of such a section.", keys=["phidot"])),
     }
     return axis_option(theme=theme, own=own, sets=["grid", "axis"])
 
@@ -49,7 +52,8 @@ def check_names(option: str, names: Iterable[str], given: dict[str, Any]) -> Non
     """Refuse coordinates of other names than these."""
     for name in given:
         if name not in names:
-            raise WrongUse(f"{option} must be of {', '.join(names)}, not of {name}")
+            typed = f"--{name}" if name in OWN else f"{option} {name}"
+            raise WrongUse(f"{typed} must be left out: the coordinates are {', '.join(names)}")
 
 
 def start_on(walker: "wj.System", given: dict[str, float], **usual: float) -> dict[str, float]:
