@@ -76,6 +76,7 @@ def basin(
     levels: int | None = option(
         None,
         "Halve boundary cells this many times: area or volume with its error.",
+        excludes=["workers", "scheduler"],
         least=0,
         most=8,
     ),
@@ -98,12 +99,8 @@ def basin(
     is taken whole. The same command resumes an interrupted run.
     """
     check_section(walker, axes)
-    axes, cluster = window_on(walker, axes, 2 if near or animate else 3), pieces.cluster
+    axes = window_on(walker, axes, 2 if near or animate else 3)
     if levels is not None:
-        if cluster is not None:
-            raise WrongUse(
-                "--workers and --scheduler are for pieces, not for --levels: leave them out"
-            )
         known = lib.whole_section(walker)
         if known is not None and not isinstance(axes["phidot"], float):
             axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
@@ -120,7 +117,7 @@ def basin(
     resumed = not kept and output.out.exists() and not output.overwrite
     clock = Stopwatch()
     if data is None:
-        data = compute(walker, request, output, cluster)
+        data = compute(walker, request, output, pieces.cluster)
     seconds = clock.seconds()
     output.draw(draw_basin(walker, data, request), request)
     if animate is not None:

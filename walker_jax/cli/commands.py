@@ -1,6 +1,5 @@
 """Commands: how they are declared, how their options are read, and what is refused."""
 
-import difflib
 import inspect
 import json
 from collections.abc import Callable, Iterable, Sequence
@@ -48,8 +47,6 @@ class Command(click.Command):
     where its lowest value is given: it is not the walker's. `examples` and `time`, which the
     command takes, are for its help; `defaults` are those of options whose group has another one.
     """
-
-    allow_extra_args = True  # they are refused here
 
     def __init__(
         self,
@@ -100,11 +97,6 @@ class Command(click.Command):
                         must = f"rename the parameter {name}"
                         raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
-        if ctx.args and not ctx.resilient_parsing:
-            first, flags = ctx.args[0], flags_of(self.get_params(ctx))
-            similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
-            instead = meant(similar) or help_of(ctx)
-            raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
         return ctx.args
 
     def invoke(self, ctx: click.Context) -> None:
@@ -164,9 +156,7 @@ def complaint(error: click.UsageError) -> str:
     match error:
         case click.NoSuchOption(option_name=flag):
             foreign = ctx.obj.foreign(flag) if ctx.obj else ""
-            bare = {one.strip("-"): one for one in flags_of(params)}
-            similar = difflib.get_close_matches(flag.strip("-"), bare)
-            instead = meant(bare[one] for one in similar) or help_of(ctx)
+            instead = meant(error.possibilities or ()) or help_of(ctx)
             return foreign or f"{shown(flag)} is not an option: {instead}"
         case click.BadOptionUsage(option_name=flag):
             (param,) = (one for one in params if flag in flags_of([one]))
