@@ -24,7 +24,7 @@ import re
 import sys
 import types
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from dataclasses import Field
 from typing import Any
 
@@ -224,13 +224,20 @@ def hash_of_code(code: types.CodeType) -> str:
     return sha256_of((code.co_code, code.co_exceptiontable, names, counts, constants))
 
 
-def globals_named(function: types.FunctionType, read: list[str], left_out: Any) -> dict[str, Any]:
+def globals_named(
+    function: types.FunctionType,
+    read: list[str],
+    left_out: Any,
+    imported: Iterable[types.ModuleType] = (),
+) -> dict[str, Any]:
     """Return the globals of these names, also as attributes of modules, without some types.
 
-    Left out are installed modules too, which do not change.
+    Left out are installed modules too, which do not change. Modules that are `imported` within the
+    function are read as well.
     """
     found, inside = {}, names_used(function.__code__)
     spaces = [("", function.__globals__, read)]
+    spaces += [(f"{one.__name__}.", vars(one), inside) for one in imported]
     for place, space, names in spaces:
         for name, value in ((one, space[one]) for one in names if one in space):
             if isinstance(value, types.ModuleType):
