@@ -137,7 +137,8 @@ def test_a_fingerprint_is_of_the_code_that_was_loaded(fingerprint, tmp_path):
 def test_an_installed_package_is_covered_without_its_neighbours(fingerprint, tmp_path):
     (tmp_path / "pack-1.0.dist-info").mkdir()
     found = fingerprint("pack.inner.walker:W")
-    for name, changes in (("beside_the_package.py", False), ("pack/mixins.py", True)):
+    changed = {"beside_the_package.py": False, "pack/mixins.py": True, "pack/numbers.py": True}
+    for name, changes in changed.items():
         (tmp_path / name).write_text(OWN[name].replace("1", "3"))
         assert (fingerprint("pack.inner.walker:W") != found) == changes
 
@@ -235,9 +236,7 @@ def made_by(kind, factor):
     return kind(math.sin, factor)
 
 
-def test_imports_and_closures_of_classes_in_sessions_are_covered(
-    fingerprint, tmp_path, monkeypatch
-):
+def test_imports_and_closures_in_sessions_are_covered(fingerprint, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)  # as the folder of a session is
     names: dict[str, Any] = {"__name__": "console", "wj": wj}
     exec(SESSION.replace("{attribute}", ""), names)
@@ -325,6 +324,18 @@ def test_a_function_reads_modules_as_they_are_at_that_moment():
         one.SIZE = 2.0
         assert FunctionByCode(names["size"]) != before
         one.SIZE = 1.0
+    assert FunctionByCode(names["size"]) == before
+
+
+def test_a_function_reads_modules_that_it_imports(fingerprint, tmp_path, monkeypatch):
+    """When it runs: they need not be loaded before; installed ones stay as they are."""
+    monkeypatch.syspath_prepend(tmp_path / "own")
+    names: dict[str, Any] = {}
+    exec("def size():\n    import constants, decimal\n    return constants.MASS", names)
+    before = FunctionByCode(names["size"])
+    sys.modules["constants"].MASS = 2.0  # pyright: ignore[reportAttributeAccessIssue]
+    assert FunctionByCode(names["size"]) != before
+    sys.modules["constants"].MASS = 1  # pyright: ignore[reportAttributeAccessIssue]
     assert FunctionByCode(names["size"]) == before
 
 
