@@ -160,17 +160,14 @@ class Describer:
     def describe_function(self, function: types.FunctionType) -> Hashable:
         closure = self.refer_to(function.__closure__)
         more = function.__defaults__, function.__kwdefaults__, vars(function) or None
-        if self.looks_into(function):
-            return self.describe_code(function), closure, *map(self.refer_to, more)
         code = function.__code__
+        if self.looks_into(function):
+            read = ((name, self.refer_to(one)) for name, one in self.globals_of(function).items())
+            return hash_of_code(code), *read, closure, *map(self.refer_to, more)
         names = self.name_definition(function), code.co_qualname  # a wrapper has another's name
         made = "<" in code.co_qualname  # a lambda, or defined within a function
         parts = (hash_of_code(code), *map(self.refer_to, more[:2])) if made else ()
         return names, closure, *parts
-
-    def describe_code(self, function: types.FunctionType) -> Hashable:
-        read = ((name, self.refer_to(value)) for name, value in self.globals_of(function).items())
-        return hash_of_code(function.__code__), *read
 
     def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
         """Return the globals that a function reads, by their names, also as parts of modules."""

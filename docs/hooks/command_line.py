@@ -15,7 +15,7 @@ def on_page_markdown(markdown, *, page, config, files):
 
     def table(options):
         rows = (one.get_help_record(Context(load("walk"))) for one in options)
-        escaped = ([part.replace("|", "\\|") for part in row] for row in rows if row)
+        escaped = ([part.replace("|", "\\|") for part in row] for row in rows if row and row[1])
         rows = [f"| `{flag}` | {text} |" for flag, text in escaped]
         return "\n".join(["| | |", "|---|---|", *rows])
 
