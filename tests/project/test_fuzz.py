@@ -242,7 +242,7 @@ def check(bench, arguments, tried: Counter) -> None:
         tried["tracebacks"] += 1
         raise
     tried[f"exit code {code}"] += 1
-    told = {"--help", "--list-walkers"} & {*arguments}
+    told = {"-h", "--help", "--list-walkers"} & {*arguments}
     tried[f"answers of {arguments[0]}"] += code == 0 and not told
     tried["wrong exit codes"] += code not in (0, 1, 2)
     assert code in (0, 1, 2)
