@@ -31,7 +31,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from walker_jax.origins import home_of, is_own
+from walker_jax.origins import PACKAGE, home_of, is_own, top_of
 from walker_jax.reading import MOST, READING, globals_named, names_used
 from walker_jax.state_of_objects import DERIVED, has_no_state, state_of
 
@@ -171,9 +171,15 @@ class Describer:
 
     def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
         """Return the globals that a function reads, by their names, also as parts of modules."""
-        return globals_named(
-            function, names_used(function.__code__, *READING), Cache, self.looks_into
-        )
+        read = names_used(function.__code__, *READING)
+        return globals_named(function, read, Cache, self.changes)
+
+    def changes(self, module: types.ModuleType) -> bool:
+        """Return whether the values in a module count: also in this package, which may be changed.
+
+        Not in another process, as they may not be loaded yet.
+        """
+        return self.looks_into(module) or (self.here and top_of(module) == PACKAGE)
 
     def describe_class(self, kind: type) -> Hashable:
         if not self.looks_into(kind):

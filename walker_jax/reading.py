@@ -10,7 +10,7 @@ from importlib.util import find_spec, module_from_spec, resolve_name
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from walker_jax.origins import PACKAGE, is_own, top_of
+from walker_jax.origins import is_own
 
 MOST = 4096
 """Size of each cache of what code reads."""
@@ -22,7 +22,7 @@ def globals_named(
 ) -> dict[str, Any]:
     """Return the globals of these names, also as attributes of modules, without some types.
 
-    Left out are also modules that do not change, as installed ones.
+    A module that does not change, such as an installed one, is left out too.
     """
     found, inside = {}, names_used(function.__code__)
     spaces = [("", function.__globals__, read)]
@@ -30,8 +30,7 @@ def globals_named(
     for place, space, names in spaces:
         for name, value in ((one, space[one]) for one in names if one in space):
             if isinstance(value, ModuleType):
-                known = not (changes(value) or top_of(value) == PACKAGE)
-                if not known and all(vars(value) is not one for _, one, _ in spaces):
+                if changes(value) and all(vars(value) is not one for _, one, _ in spaces):
                     spaces.append((f"{place}{name}.", vars(value), inside))
             elif not isinstance(value, left_out):
                 found[f"{place}{name}"] = value

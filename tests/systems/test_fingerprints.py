@@ -339,6 +339,15 @@ def test_a_function_reads_modules_that_it_imports(fingerprint, tmp_path, monkeyp
     assert FunctionByCode(names["size"]) == before
 
 
+def test_a_fingerprint_is_the_same_once_names_are_loaded(monkeypatch):
+    """Public names of the package are loaded on their first use."""
+    monkeypatch.delitem(vars(wj), "Outcome", raising=False)
+    reading = lambda: wj.Outcome.STRIDE
+    before = code_fingerprint(object, (reading,))
+    assert reading() == 0 and "Outcome" in vars(wj)
+    assert code_fingerprint(object, (reading,)) == before
+
+
 def test_a_function_is_the_same_wherever_it_stands():
     def made(source):
         names: dict[str, Any] = {}

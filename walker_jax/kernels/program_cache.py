@@ -115,7 +115,7 @@ class ReachedCode(Describer):
         if super().looks_into(function):
             return super().globals_of(function)
         read = names_used(function.__code__)
-        return globals_named(function, read, Cache | ContextVar, self.looks_into)
+        return globals_named(function, read, Cache | ContextVar, self.changes)
 
     def name_definition(self, definition: Any) -> Hashable:
         return tuple(getattr(definition, f"__{name}__", None) for name in ("module", "qualname"))
