@@ -1,5 +1,6 @@
 """Commands: how they are declared, how their options are read, and what is refused."""
 
+import difflib
 import inspect
 import json
 from collections.abc import Callable, Iterable, Sequence
@@ -156,7 +157,9 @@ def complaint(error: click.UsageError) -> str:
     match error:
         case click.NoSuchOption(option_name=flag):
             foreign = ctx.obj.foreign(flag) if ctx.obj else ""
-            instead = meant(error.possibilities or ()) or help_of(ctx)
+            bare = {one.strip("-"): one for one in flags_of(params)}  # as dashes are all alike
+            similar = difflib.get_close_matches(flag.strip("-"), bare)
+            instead = meant(bare[one] for one in similar) or help_of(ctx)
             return foreign or f"{shown(flag)} is not an option: {instead}"
         case click.BadOptionUsage(option_name=flag):
             (param,) = (one for one in params if flag in flags_of([one]))
