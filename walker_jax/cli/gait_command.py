@@ -21,7 +21,12 @@ from walker_jax.cli.unit_options import UNITS, chosen_units, units_named
 
 GUESS: Any = (
     tuple[float, float],
-    option(None, "Both of the first.", metavar="THETA THETADOT", keys=["theta", "thetadot"]),
+    option(
+        None,
+        "Short for --theta and --thetadot.",
+        metavar="THETA THETADOT",
+        keys=["theta", "thetadot"],
+    ),
 )
 
 
