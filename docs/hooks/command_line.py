@@ -8,13 +8,14 @@ PLACE = "<!-- the options of every command -->"
 def on_page_markdown(markdown, *, page, config, files):
     if PLACE not in markdown:
         return markdown
+    from click import Context
+
     from walker_jax.cli.app import NAMES, load
-    from walker_jax.cli.help_page import as_typed, meaning
     from walker_jax.cli.walker_options import DESCRIBED, Chosen, option_for
 
     def table(options):
-        rows = ((as_typed(one), meaning(one)) for one in options)
-        escaped = ([part.replace("|", "\\|") for part in row] for row in rows)
+        rows = (one.get_help_record(Context(load("walk"))) for one in options)
+        escaped = ([part.replace("|", "\\|") for part in row] for row in rows if row and row[1])
         rows = [f"| `{flag}` | {text} |" for flag, text in escaped]
         return "\n".join(["| | |", "|---|---|", *rows])
 
@@ -23,7 +24,7 @@ def on_page_markdown(markdown, *, page, config, files):
         parts += [f"`--walker {walker}`:", table(map(option_for, described))]
     for name in NAMES:
         command = load(name)
-        parts += [f"### walker-jax {name}", command.help, table(command.params)]
+        parts += [f"### walker-jax {name}", command.help, command.epilog, table(command.params)]
     return markdown.replace(PLACE, "\n\n".join(parts) + "\n")
 
 

@@ -146,11 +146,11 @@ def test_names_of_parameters_have_hyphens_or_underscores():
     for over in ("hip-stiffness", "hip_stiffness"):
         for bound in ("hip-stiffness=0:1", "hip_stiffness=0:1"):
             given = read(None, ["--walker", "spring", "--over", over, "--bound", bound]).params
-            assert given["bound"] == {"hip_stiffness": (0.0, 1.0)}
-            problem = optimise_command.Problem(over=given["over"], bound=given["bound"])
-            assert problem.bounds(walker) == {"hip_stiffness": (0.0, 1.0)}
+            assert given["bounds"] == {"hip_stiffness": (0.0, 1.0)}
+            found = optimise_command.bounds_of(walker, given["over"], given["bounds"])
+            assert found == {"hip_stiffness": (0.0, 1.0)}
         with pytest.raises(ValueError, match=r"^--bound is required for hip-stiffness: hip-stiff"):
-            optimise_command.Problem(over=[over]).bounds(walker)
+            optimise_command.bounds_of(walker, [over], {})
     assert optimise_command.objective_of(("least_disturbance",)) == "least-disturbance"
     assert optimise_command.objective_of(("step_length=2",)) == {"step-length": 2.0}
 
@@ -370,7 +370,7 @@ def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
         said = f"walker-jax: this was seed {seed}\n"
         assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)
     assert asked == [0, 3]
-    said = "walker-jax: --seed is for --levels alone: give it too\n"
+    said = "walker-jax: --seed goes with --levels: give it too\n"
     assert run("basin", "--seed", "1") == (2, "", said)
 
 

@@ -95,11 +95,11 @@ def commands(draw, walkers=("simplest",)):
             arguments += draw(axes if draw(st.integers(0, 3)) else several)
         elif not option.is_flag:
             kinds = {"out": PLACES, "figure": PLACES, "animate": PLACES, "over": WORDS}
-            kinds |= {"bound": WORDS, "objective": WORDS, "method": WORDS}
+            kinds |= {"bounds": WORDS, "parameter": WORDS, "objective": WORDS, "method": WORDS}
             arguments.append(draw(st.sampled_from(kinds.get(option.name, NUMBERS))))
     for option in COMMANDS[name]:
         if option.param_type_name == "argument" and len(arguments) < 3 and draw(st.integers(0, 20)):
-            good = [{"data": "held.zarr", "file": "b.nc"}[option.name]] * 30
+            good = [{"data": "held.zarr", "file": "b.nc", "source": "b.csv"}[option.name]] * 30
             arguments.append(draw(st.sampled_from(PLACES + good)))
     if not draw(st.integers(0, 20)):
         arguments.append(draw(st.sampled_from(WORDS + NUMBERS)))
@@ -242,7 +242,7 @@ def check(bench, arguments, tried: Counter) -> None:
         tried["tracebacks"] += 1
         raise
     tried[f"exit code {code}"] += 1
-    told = {"--help", "--list-walkers"} & {*arguments}
+    told = {"-h", "--help", "--list-walkers"} & {*arguments}
     tried[f"answers of {arguments[0]}"] += code == 0 and not told
     tried["wrong exit codes"] += code not in (0, 1, 2)
     assert code in (0, 1, 2)

@@ -99,9 +99,9 @@ class Around(wj.SimplestWalker):
 
 
 def test_a_command_names_the_options_that_make_a_gait_needless():
-    from walker_jax.cli.options import message_of
+    from walker_jax.cli.options import Option, message_of
 
-    known = "--axis", "--theta", "--sum", "--slope"
+    known = [*map(Option, ("axis", "theta", "sum", "slope"))]
     with pytest.raises(wj.ComputationFailed) as error:
         windows.window_of_basin(Around(0.5))
     assert message_of(error.value, known).endswith("give --axis, or another --slope")
@@ -112,18 +112,18 @@ def test_a_command_names_the_options_that_make_a_gait_needless():
 
 def test_an_error_has_as_many_parameters_as_there_is_room_for(monkeypatch):
     """And all the options that make the gait needless, whose search is made up to fail."""
-    from walker_jax.cli.options import message_of
+    from walker_jax.cli.options import Option, message_of
 
     failed = wj.find_gait(WALKER)._replace(residual=np.array(1e-3), found=np.array(False))
     monkeypatch.setattr(selection, "search_gait", lambda *_, **__: failed)
     axes = {"theta": None, "sum": None, "phidot": None}
     with pytest.raises(wj.ComputationFailed) as error:
         windows.fill_around_gait(wj.RoundFootWalker(0.5), axes)
-    known = "--theta", "--sum", "--at-phidot", "--slope"
+    known = [*map(Option, ("theta", "sum", "phidot", "slope"))]
     assert message_of(error.value, known) == (
         "no gait of period 1 found for RoundFootWalker, slope 0.5, hip_mass 1, ...: "
         "Newton's iteration diverged: a stride misses the next state by 0.001; "
-        "give --theta, --sum, --at-phidot, or another --slope"
+        "give --theta, --sum, --phidot, or another --slope"
     )
 
 

@@ -11,7 +11,6 @@ from click.core import augment_usage_errors
 
 from walker_jax.cli import library as lib
 from walker_jax.cli.commands import QUIET, SETTINGS, Command, meant
-from walker_jax.cli.help_page import list_page
 from walker_jax.cli.information import COMPLETION, LIST_WALKERS, VERSION
 from walker_jax.cli.options import shown
 from walker_jax.refusals import WrongUse
@@ -58,9 +57,6 @@ class Commands(click.Group):
         except KeyboardInterrupt as interruption:  # click would keep only that there was one
             raise Interrupted(*resume_notes(interruption)) from interruption
 
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write("\n\n".join(list_page(self, ctx, formatter.width)) + "\n")
-
 
 def resume_notes(interruption: BaseException) -> list[str]:
     """Return how to resume the work: the library's notes on an interruption, reworded."""
@@ -86,4 +82,5 @@ app = Commands(
     invoke_without_command=True,
     params=[LIST_WALKERS, VERSION, COMPLETION, QUIET],
     help="Passive dynamic walkers: their gaits, and the basins of attraction of these.",
+    epilog="walker-jax COMMAND --help has examples, and the options of a command.",
 )

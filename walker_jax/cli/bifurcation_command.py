@@ -6,15 +6,16 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
+from walker_jax.cli.answers import Output, listed, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Ranged, hyphenated, option, underscored
+from walker_jax.cli.options import hyphenated, option, underscored
+from walker_jax.cli.walker_options import check_range
 from walker_jax.refusals import WrongUse
 from walker_jax.walkers.parameter_table import KNEED_SLOPE, SLOPE
 
 TITLES = {
-    "doublings": "doublings of the most stable {}",
-    "other_doublings": "doublings of other {}s",
+    "doublings": "doublings of the most stable gait",
+    "other_doublings": "doublings of other gaits",
     "folds": "folds",
     "neimark_sackers": "Neimark-Sacker points",
 }
@@ -26,15 +27,6 @@ def help_of_end(which: str, end: int) -> str:
     return f"{which} value (default, of the slope: {slopes})."
 
 
-class Branches(Ranged, theme="Branches"):
-    over: str = option("slope", "The parameter that changes, from --from to --to.")
-    low: float | None = option(None, help_of_end("Lowest", 0), "--from")
-    high: float | None = option(None, help_of_end("Highest", 1), "--to")
-    period_max: int = option(8, "Longest period of the gaits that are followed.", most=64)
-    strides: int = option(3000, "Strides after which a walker counts as walking for ever.")
-    normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
-
-
 @command(
     examples=(
         "bifurcation --from 0.001 --to 0.022",
@@ -43,19 +35,29 @@ class Branches(Ranged, theme="Branches"):
     ),
     time="Half a minute.",
     out="bifurcation.zarr",
+    ranged=True,
 )
-def bifurcation(walker: "wj.System", asked: Branches, output: Output):
+def bifurcation(
+    walker: "wj.System",
+    output: Output,
+    parameter: str = option("slope", "The parameter that changes, from --from to --to.", "--over"),
+    low: float | None = option(None, help_of_end("Lowest", 0), "--from"),
+    high: float | None = option(None, help_of_end("Highest", 1), "--to"),
+    period_max: int = option(8, "Longest period of the gaits that are followed.", most=64),
+    strides: int = option(3000, "Strides after which a walker counts as walking for ever."),
+    normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more."),
+):
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
-    over, low, high = underscored(asked.over), asked.low, asked.high
+    over = underscored(parameter)
     lib.check_parameter(walker, over)
     if usual := lib.span_of(type(walker), over):
         low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
     if low is None or high is None:
         missing = "--from" if low is None else "--to"
         raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
-    asked.check(walker, low, high)
-    how: Any = {"period_max": asked.period_max, "strides": asked.strides}
-    how |= {"normal_forms": True} if asked.normal_forms else {}
+    check_range(walker, over, low, high)
+    how: Any = {"period_max": period_max, "strides": strides}
+    how |= {"normal_forms": True} if normal_forms else {}
     walker = lib.with_parameter(walker, over, low)
     asked_for = {"over": over, "range": [low, high], **how}
     request = request_for("bifurcation", walker, without=[over], **asked_for)
@@ -64,35 +66,33 @@ def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     answer = lib.summarise_bifurcations(data)
     units = {one.name: f" {one.unit}".rstrip() for one in lib.described_by(walker, lib.Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
-    terms = terms_of(walker)
     yield answer
-    yield f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
-    yield from bifurcations_in_words(answer, over, asked.strides, terms)
-    yield output.places()
+    yield f"Gaits of {lib.write_description(request['walker'], '')}, {span}"
+    yield from bifurcations_in_words(answer, over, strides)
 
 
-def bifurcations_in_words(answer: dict, over: str, strides: int, terms: Terms) -> Iterator[str]:
+def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str]:
     """Write the answer of `bifurcation`."""
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue
-        yield f"  {title.format(terms.cycle)}:{'' if answer[key] else ' none'}"
+        yield f"  {title}:{'' if answer[key] else ' none'}"
         for event in answer[key]:
             at = event[lib.value_key(over)]
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
             told = f", {event['criticality']}" if "criticality" in event else ""
             yield f"    period {periods} at {at:.12f}, ({listed(event['state'])}){told}"
-    near = f"{terms.start} close to a {terms.cycle}"
+    near = "walker close to a gait"
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
-        yield f"  no {near} {terms.goes} on, at any {hyphenated(over)}"
+        yield f"  no {near} walks on, at any {hyphenated(over)}"
     elif math.isnan(above):
-        yield f"  each {near} {terms.goes} on up to the highest {hyphenated(over)}"
+        yield f"  each {near} walks on up to the highest {hyphenated(over)}"
     else:
-        until = f"where a {terms.start} makes {strides} {terms.step}s"
-        yield f"  {terms.motion} is lost between {below:.8f}, {until},"
+        until = f"where a walker makes {strides} strides"
+        yield f"  walking is lost between {below:.8f}, {until},"
         yield f"  and {above:.8f}, where none does"
     for interval in answer["stable_beyond"]:
         ends = f"from {interval['from']:.9f} to {interval['to']:.9f}"
-        yield f"  a {terms.cycle} of period {interval['period']} is stable beyond that, {ends}"
+        yield f"  a gait of period {interval['period']} is stable beyond that, {ends}"
     yield "  walker-jax chart follows such points over a second parameter."

@@ -1,17 +1,14 @@
 """`walker-jax boundary`."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, in_words, points_listed, request_for
+from walker_jax.cli.answers import Output, points_listed, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, option
-from walker_jax.cli.section import SlicedWindow, grid_of
-
-
-class Measures(Group):
-    strides: int = option(500, "Strides at most.")
+from walker_jax.cli.options import option
+from walker_jax.cli.section import axes_option, grid_of, window_on
 
 
 @command(
@@ -19,7 +16,12 @@ class Measures(Group):
     time="Half a minute.",
     out="boundary.zarr",
 )
-def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output):
+def boundary(
+    walker: "wj.System",
+    output: Output,
+    axes: dict[str, Any] = axes_option("Window"),
+    strides: int = option(500, "Strides at most."),
+):
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
 
     A region is a set of starts that fall alike, or that converge to one attractor. The basin
@@ -30,13 +32,12 @@ def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, outp
     such as a saddle, are the states to which the boundary leads. The picture has the stable
     manifolds of the saddles. The default window is that of the command basin.
     """
-    axes, strides = window.axes(walker), measures.strides
+    axes = window_on(walker, axes)
     request = request_for("boundary", walker, axes=axes, strides=strides)
     compute = lambda: wj.boundary(walker, grid_of(walker, axes), strides=strides, progress=True)
     answer = lib.summarise_boundary(output.produce(request, compute, "boundary"))
     yield {"walker": request["walker"]} | answer
     yield from boundary_in_words(walker, answer)
-    yield output.places()
 
 
 def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
@@ -55,17 +56,18 @@ def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
         shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
         yield f"  largest part of a boundary that touches only two regions: {shares} cells"
         yield "    it tends to nothing on finer grids if the boundary is Wada's"
-    yield from (f"  {edge_in_words(walker, one)}" for one in answer["edges"])
+    yield from (f"  {edge_in_words(one)}" for one in answer["edges"])
     if entropy["value"] is None:
         yield "  No boundary was found in this window: wider axes may hold one."
     else:
         yield "  walker-jax basin --zoom 1e4 shows it near; a finer grid tests more strictly."
 
 
-def edge_in_words(walker: "wj.System", edge: dict) -> str:
+def edge_in_words(edge: dict) -> str:
     """Write an edge state in words."""
     regions, between = (
-        " / ".join(in_words(one, walker) for one in edge[pair]) for pair in ("regions", "between")
+        " / ".join(lib.outcome_in_words(one) for one in edge[pair])
+        for pair in ("regions", "between")
     )
     third = "" if edge["between"] == edge["regions"] else f" (between {between})"
     if edge["kind"] != "saddle":

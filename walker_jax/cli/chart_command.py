@@ -5,18 +5,11 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
+from walker_jax.cli.answers import Output, listed, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
-from walker_jax.cli.section import Start, start_option
+from walker_jax.cli.options import RANGE, Axis, hyphenated, named, option
+from walker_jax.cli.section import start_on, start_option
 from walker_jax.refusals import WrongUse
-
-
-class Chart(Group):
-    over: dict[str, Axis] = named("A parameter, its ends and number of cells: give two.", RANGE)
-    start: dict[str, float] = start_option()
-    period_max: int = option(4, "Longest period of which curves are followed.", most=64)
-    strides: int = option(1000, "Strides before the period is read.")
 
 
 @command(
@@ -29,51 +22,57 @@ class Chart(Group):
     time="Half a minute; a minute for walkers with mass on their legs.",
     out="chart.zarr",
 )
-def chart(walker: "wj.System", asked: Chart, output: Output):
+def chart(
+    walker: "wj.System",
+    output: Output,
+    over: dict[str, Axis] = named(
+        "A parameter, its ends and number of cells: give two.", RANGE, sets=["parameter", "cells"]
+    ),
+    start: dict[str, float] = start_option(),
+    period_max: int = option(4, "Longest period of which curves are followed.", most=64),
+    strides: int = option(1000, "Strides before the period is read."),
+):
     """Chart two parameters: curves of bifurcations, and the periods of attractors between them.
 
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
-    for name, (low, high, count) in asked.over.items():
+    for name, (low, high, count) in over.items():
         lib.check_parameter(walker, name, low, high)
         own, typed = float(lib.value_of(walker, name)), hyphenated(name)
         if not low <= own <= high:
             ends = f"{typed}={low:g}:{high:g}:{count}"
             raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
-    if len(asked.over) != 2:
+    if len(over) != 2:
         raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
-    bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
-    cells = tuple(count for *_, count in asked.over.values())
-    how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
-    start = [*Start(start=asked.start).coordinates(walker).values()] or None
-    over = {name: list(ends) for name, ends in asked.over.items()}
-    request = request_for("chart", walker, start=start, over=over, **how)
+    bounds = {name: (low, high) for name, (low, high, _) in over.items()}
+    cells = tuple(count for *_, count in over.values())
+    how: Any = {"cells": cells, "period_max": period_max, "strides": strides}
+    guess, ranges = [*start_on(walker, start).values()] or None, {**over}
+    request = request_for("chart", walker, start=guess, over=ranges, **how)
 
     def compute():
-        gait, *_ = lib.selection.select_gaits(walker, guess=start, instead="try another --start")
+        gait, *_ = lib.selection.select_gaits(walker, guess=guess, instead="try another --start")
         return wj.chart(walker, bounds, gait, progress=True, **how)
 
     answer = lib.summarise_chart(output.produce(request, compute, "chart"))
     about = request["walker"]
     yield {"walker": about, "parameters": [*bounds]} | answer
     yield f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
-    yield from chart_in_words(answer, [*bounds], terms_of(walker))
-    yield output.places()
+    yield from chart_in_words(answer, [*bounds])
 
 
-def chart_in_words(answer: dict, names: list[str], terms: Terms) -> Iterator[str]:
+def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
     """Write the answer of `chart`."""
     for curve in answer["curves"]:
         told = "".join(f", {one}" for one in curve["criticality"])
         yield f"  {curve['kind']} of period {curve['period']}{told}:"
         for end in curve["ends"]:
             place = listed(end["values"], ".9f")
-            reason = end["reason"].replace("gait", terms.cycle).replace("stride", terms.step)
-            yield f"    to ({place}): {reason}"
+            yield f"    to ({place}): {end['reason']}"
         for one in curve["special"]:
             yield f"    {one['kind']} at ({listed(one['values'], '.12f')})"
     if not answer["curves"]:
         yield f"  no bifurcation over {' or '.join(map(hyphenated, names))}"
     shares = ", ".join(f"{name} {share:.1%}" for name, share in answer["cells"].items())
-    yield f"  cells: {shares.replace('gait', terms.cycle)}"
-    yield f"  walker-jax bifurcation shows all {terms.cycle}s along one parameter."
+    yield f"  cells: {shares}"
+    yield "  walker-jax bifurcation shows all gaits along one parameter."

@@ -4,18 +4,16 @@ import difflib
 import inspect
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
 from typing import Any
 
 import click
 from click.core import augment_usage_errors
 
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import jsonable
-from walker_jax.cli.help_page import help_page
+from walker_jax.cli.answers import files_in_words, jsonable, reword
 from walker_jax.cli.options import (
     Option,
-    Ranged,
+    is_group,
     message_of,
     name_of,
     options_of,
@@ -25,11 +23,13 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import choose
 from walker_jax.refusals import Refusal, WrongUse
 
+COLUMN = 20
+"""Width of the column of options in help; their meanings stand beside it."""
 JSON = Option(
-    ["as_json", "--json"], theme="Output", default=False, help="Print the answer as JSON."
+    "as_json", flags=["--json"], theme="Output", default=False, help="Print the answer as JSON."
 )
 QUIET = Option(
-    ["--quiet"],
+    "quiet",
     theme="Output",
     default=False,
     callback=lambda ctx, param, requested: requested and lib.be_quiet(),
@@ -42,13 +42,12 @@ SETTINGS = {"help_option_names": ["-h", "--help"]}
 class Command(click.Command):
     """A command: a function of the walker, or other system, if it takes one, and of its options.
 
-    The annotations of `run` name the groups of options. It yields its answer, for JSON, then the
-    lines that say it in words; one that returns None has neither. With `opening`, walkers have the
-    values with which the explorer opens them. `examples` and `time`, which the command takes, are
-    for its help; `defaults` are those of options whose group has another one.
+    The parameters of `run` are its options. It yields its answer, for JSON, then the lines that say
+    it in words; one that returns None has neither. With `opening`, walkers have the values with
+    which the explorer opens them. A command that is `ranged` goes over a parameter, as others do
+    where its lowest value is given: it is not the walker's. `examples` and `time`, which the
+    command takes, are for its help; `defaults` are those of options whose group has another one.
     """
-
-    allow_extra_args = True  # they are refused here
 
     def __init__(
         self,
@@ -57,20 +56,23 @@ class Command(click.Command):
         examples: Sequence[str],
         time: str,
         opening: bool = False,
+        ranged: bool = False,
         **defaults: Any,
     ):
-        self.run, self.examples, self.time, self.opening = run, examples, time, opening
-        self.groups = inspect.get_annotations(run)
-        answers = self.groups.pop("return", Any) is not None
-        system = self.groups.pop("walker", None)
+        self.run, self.examples, self.opening, self.ranged = run, examples, opening, ranged
+        self.given = inspect.get_annotations(run)
+        answers = self.given.pop("return", Any) is not None
+        system = self.given.pop("walker", None)
         self.walkers, self.systems = system is not None, system == "wj.System"
-        own = [one for group in self.groups.values() for one in options_of(group, defaults)]
-        paragraphs = inspect.cleandoc(run.__doc__ or "").split("\n\n")
+        own = options_of(run, defaults)
+        purpose, _, more = inspect.cleandoc(run.__doc__ or "").partition("\n\n")
         super().__init__(
             run.__name__,
             SETTINGS,
             params=[*own, *[JSON] * answers, QUIET],
-            help="\n\n".join(" ".join(one.split()) for one in paragraphs),
+            help=purpose,
+            short_help=" ".join(purpose.split()),
+            epilog=f"{more}\n\nTime on two cores: {time}",
         )
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
@@ -96,36 +98,51 @@ class Command(click.Command):
                         must = f"rename the parameter {name}"
                         raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
-        if ctx.args and not ctx.resilient_parsing:
-            first, flags = ctx.args[0], flags_of(self.get_params(ctx))
-            similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
-            instead = meant(similar) or help_of(ctx)
-            raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
         return ctx.args
 
     def invoke(self, ctx: click.Context) -> None:
         lib.configure_jax()
+        params = ctx.params
         given: dict[str, Any] = {
-            name: group(**{one.name: ctx.params[one.name] for one in fields(group)})
-            for name, group in self.groups.items()
+            name: kind(**{one: params[one] for one in inspect.get_annotations(kind)})
+            if is_group(kind)
+            else params[name]
+            for name, kind in self.given.items()
         }
         try:
             if self.walkers:
-                over = next((one.ranged for one in given.values() if isinstance(one, Ranged)), ())
-                given["walker"] = ctx.obj.build(ctx.params, *over)
+                low = params.get("low")
+                over = params["parameter"] if self.ranged or low is not None else ""
+                given["walker"] = ctx.obj.build(params, underscored(over), low)
             said = self.run(**given) or iter(())
             answer = next(said, None)
             if ctx.params.get("as_json"):
                 print(json.dumps(jsonable(answer), allow_nan=False))
                 return
             for line in said:
+                print(reword(line, given["walker"]) if self.walkers else line)
+            for line in files_in_words(given):
                 print(line)
         except Refusal as error:
-            error.args = (message_of(error, {name_of(one) for one in self.get_params(ctx)}),)
+            error.args = (message_of(error, self.get_params(ctx)),)
             raise
 
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write("\n\n".join(help_page(self, ctx, formatter.width)) + "\n")
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        super().format_help_text(ctx, formatter)
+        with formatter.section("Examples"):
+            formatter.write("".join(f"  walker-jax {line}\n" for line in self.examples))
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options theme by theme; other systems leave out those of walkers alone."""
+        themes: dict[str, list[tuple[str, str]]] = {}
+        for one in self.get_params(ctx):
+            foreign = getattr(one, "into", "") and ctx.obj and ctx.obj.system
+            record = one.get_help_record(ctx)
+            if isinstance(one, click.Option) and record and not foreign:
+                themes.setdefault(getattr(one, "theme", "Output"), []).append(record)
+        for theme, records in themes.items():
+            with formatter.section(theme):
+                formatter.write_dl(records, COLUMN)
 
 
 def command(**about: Any) -> Callable[[Callable[..., Any]], Command]:
@@ -140,7 +157,7 @@ def complaint(error: click.UsageError) -> str:
     match error:
         case click.NoSuchOption(option_name=flag):
             foreign = ctx.obj.foreign(flag) if ctx.obj else ""
-            bare = {one.strip("-"): one for one in flags_of(params)}
+            bare = {one.strip("-"): one for one in flags_of(params)}  # as dashes are all alike
             similar = difflib.get_close_matches(flag.strip("-"), bare)
             instead = meant(bare[one] for one in similar) or help_of(ctx)
             return foreign or f"{shown(flag)} is not an option: {instead}"

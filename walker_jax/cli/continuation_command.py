@@ -5,22 +5,15 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Terms, request_for, terms_of
+from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Group, Named, hyphenated, option
-from walker_jax.cli.section import Region, asked_of
+from walker_jax.cli.options import RANGE, Named, hyphenated, option
+from walker_jax.cli.section import asked_of, axes_option, region_on
 from walker_jax.cli.sweep_command import values_of
 from walker_jax.refusals import WrongUse
 
 DEFAULT = "slope", (0.002, 0.02, 37)
 """The slopes over which walkers are followed."""
-
-
-class Continuation(Group):
-    over: Any = option("slope=0.002:0.02:37", "Values of a parameter.", type=Named(RANGE))
-    samples: int = option(100_000, "Starts in the region.")
-    strides: int = option(500, "Strides at most.")
-    seed: int = option(0, "Of the starts.", least=0)
 
 
 @command(
@@ -31,18 +24,29 @@ class Continuation(Group):
     time="A minute or two for the example.",
     out="continuation.zarr",
 )
-def continuation(walker: "wj.System", asked: Continuation, region: Region, output: Output):
+def continuation(
+    walker: "wj.System",
+    output: Output,
+    parameter: Any = option(
+        "slope=0.002:0.02:37", "Values of a parameter.", "--over", type=Named(RANGE)
+    ),
+    axes: dict[str, Any] = axes_option("Region"),
+    samples: int = option(100_000, "Starts in the region."),
+    strides: int = option(500, "Strides at most."),
+    seed: int = option(0, "Of the starts.", least=0),
+):
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
+    The default region is all of the section.
     """
-    if asked.over == DEFAULT and "slope" not in walker.spans:
+    if parameter == DEFAULT and "slope" not in walker.spans:
         raise WrongUse(
             f"--over is required: a parameter of the system and its values, NAME={RANGE}"
         )
-    ((name, values),) = values_of(dict([asked.over])).items()
-    how: Any = {"samples": asked.samples, "strides": asked.strides, "seed": asked.seed}
-    grid = region.grid(walker)
+    ((name, values),) = values_of(dict([parameter])).items()
+    how: Any = {"samples": samples, "strides": strides, "seed": seed}
+    grid = region_on(walker, axes)
     asked_for = {"over": {name: values}, "axes": asked_of(grid), **how}
     request = request_for("continuation", walker, without=[name], **asked_for)
     compute = lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how)
@@ -51,11 +55,10 @@ def continuation(walker: "wj.System", asked: Continuation, region: Region, outpu
     yield {"walker": about, "parameter": name} | answer
     span = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
     yield f"Attractors of {about['name']}, {span}"
-    yield from attractors_in_words(answer, terms_of(walker))
-    yield output.places()
+    yield from attractors_in_words(answer)
 
 
-def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:
+def attractors_in_words(answer: dict) -> Iterator[str]:
     """Write the answer of `continuation`."""
     for one in answer["attractors"]:
         period = f"period {one['period']}" if one["period"] else "no period"
@@ -68,4 +71,4 @@ def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:
     if answer["attractors"]:
         yield "  More --samples make these fractions more precise."
     else:
-        yield f"  No start converges: try another --over, or a region that holds a {terms.cycle}."
+        yield "  No start converges: try another --over, or a region that holds a gait."

@@ -4,9 +4,8 @@ import re
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import in_words, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.section import Start
+from walker_jax.cli.section import begin_at, start_on, start_option
 
 
 @command(
@@ -17,14 +16,14 @@ from walker_jax.cli.section import Start
     ),
     time="3 s, of a kneed walker 20 s.",
 )
-def explain(walker: "wj.System", start: Start):
+def explain(walker: "wj.System", start: dict[str, float] = start_option()):
     """Say why the stride from one start ends as it does, and whether a model fits together.
 
     Mode by mode: which guards rose through zero, when, and whether that counted; how near the
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
-    found = wj.explain(walker, start.begin(walker))
+    found = wj.explain(walker, begin_at(walker, start_on(walker, start)))
     known = found.name == "STRIDE"
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
@@ -41,7 +40,7 @@ def explain(walker: "wj.System", start: Start):
     }
     advice = {
         "OUTSIDE": "walker-jax gait gives a start that is feasible",
-        "STRIDE": f"walker-jax walk, from there, follows the next {terms_of(walker).step}s",
+        "STRIDE": "walker-jax walk, from there, follows the next strides",
     }
     next_step = advice.get(found.name, "walker-jax basin shows which starts go on")
     if found.complaints and found.name != "OUTSIDE":
@@ -50,6 +49,6 @@ def explain(walker: "wj.System", start: Start):
     # Words in the places of the names of outcomes.
     text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", str(found))
     text = re.sub(rf"\bleads to ({'|'.join(wj.Outcome.__members__)})\b", r"the end: \1", text)
-    text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)
+    text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: lib.outcome_in_words(name[0]), text)
     yield text
     yield f"Next: {next_step}."

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Files
+from walker_jax.cli.answers import OVERWRITE
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, argument, option, refuse
-from walker_jax.cli.unit_options import InUnits
+from walker_jax.cli.options import argument, option, refuse
+from walker_jax.cli.unit_options import UNITS, chosen_units
 
 PROGRAMS = {
     ".nc": "xarray.open_dataset and other programs read it",
@@ -17,14 +17,6 @@ PROGRAMS = {
 TABLES = ".csv", ".tex"
 
 
-class Places(Group):
-    data: Path = argument("DATA", "A data set that a command left.")
-    file: Path = argument("FILE", "Where it goes: .nc, NetCDF; .csv; .tex, LaTeX; .mat, MATLAB.")
-    rows: str | None = option(
-        None, "Of a table: a variable, by whose dimensions its rows are.", metavar="VARIABLE"
-    )
-
-
 @command(
     examples=(
         "export basin.zarr basin.nc",
@@ -33,18 +25,25 @@ class Places(Group):
     ),
     time="A second.",
 )
-def export(places: Places, units: InUnits, files: Files):
+def export(
+    data: Path = argument("DATA"),
+    file: Path = argument("FILE"),
+    units: dict[str, float] = UNITS,
+    rows: str | None = option(
+        None, "Of a table: a variable, by whose dimensions its rows are.", metavar="VARIABLE"
+    ),
+    overwrite: bool = OVERWRITE,
+):
     """Copy a data set that another command has left to a file for other programs.
 
-    The ending of the file says which: NetCDF, CSV, LaTeX or MATLAB. A table has a row for each
-    point of the dimensions that most variables have, or that the variable of --rows has. Variables
-    say their units, with --units those of SI.
+    The ending of FILE says which: .nc, NetCDF; .csv; .tex, LaTeX; .mat, MATLAB. A table has a row
+    for each point of the dimensions that most variables have, or that the variable of --rows has.
+    Variables say their units, with --units those of SI.
     """
-    data, file, chosen = places.data, places.file, units.chosen
-    convert = lib.with_units if chosen is None else chosen.convert
+    convert = chosen_units(units).convert if units else lib.with_units
     if file.suffix not in TABLES:
-        refuse(f"is for tables, {' and '.join(TABLES)}: leave it out", rows=places.rows)
-    how = {"overwrite": files.overwrite, "rows": places.rows, "convert": convert}
+        refuse(f"is for tables, {' and '.join(TABLES)}: leave it out", rows=rows)
+    how = {"overwrite": overwrite, "rows": rows, "convert": convert}
     copied = lib.storage.export(data, file, **how)
     variables = sorted(map(str, copied.variables))
     yield {"data": str(data), "file": str(file), "variables": variables}

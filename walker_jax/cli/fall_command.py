@@ -5,9 +5,9 @@ from pathlib import Path
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Files, check_picture, draw, request_for
+from walker_jax.cli.answers import OVERWRITE, check_picture, draw, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Choice, Group, option
+from walker_jax.cli.options import Choice, option
 from walker_jax.cli.walk_command import FRAME_INTERVAL
 from walker_jax.refusals import WrongUse
 
@@ -15,25 +15,6 @@ CONVERGED = 1e-6
 """Residual (rad) above which the answer warns that the search has not converged."""
 STEPS = 2e-4
 """Standard deviation of steps where no disturbance is given."""
-
-
-class Disturbances(Group):
-    """Standard deviations of the disturbances in each stride."""
-
-    ground: float | None = option(None, f"Standard deviation of steps (default: {STEPS}).", least=0)
-    tilt: float = option(0.0, "Standard deviation of changes of the slope, rad.", least=0)
-    push: float = option(0.0, "Standard deviation of pushes, changes of thetadot.", least=0)
-    strides: int = option(12, "Number of disturbed strides.", most=32)
-    way: str | None = option(
-        None,
-        "The fall that counts (default: any).",
-        type=Choice("forward", "backward", "running", "stopped"),
-    )
-
-
-class Pictures(Group, theme="Output"):
-    figure: Path | None = option(None, "Where a picture goes.")
-    animate: Path | None = option(None, "Where a film of the fall goes, on steps alone.")
 
 
 @command(
@@ -44,32 +25,47 @@ class Pictures(Group, theme="Output"):
     ),
     time="Half a minute.",
 )
-def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Files):
+def fall(
+    walker: "wj.Walker",
+    ground: float | None = option(
+        None, f"Standard deviation of steps (default: {STEPS}).", least=0
+    ),
+    tilt: float = option(0.0, "Standard deviation of changes of the slope, rad.", least=0),
+    push: float = option(0.0, "Standard deviation of pushes, changes of thetadot.", least=0),
+    strides: int = option(12, "Number of disturbed strides.", most=32),
+    way: str | None = option(
+        None,
+        "The fall that counts (default: any).",
+        type=Choice("forward", "backward", "running", "stopped"),
+    ),
+    figure: Path | None = option(None, "Where a picture goes."),
+    animate: Path | None = option(None, "Where a film of the fall goes, on steps alone."),
+    overwrite: bool = OVERWRITE,
+):
     """Find the most probable fall: the least disturbances that topple the walker.
 
     Under slight disturbances nearly all falls are like this one, or with --way all of that kind.
     The mean number of strides until such a fall follows from its action.
     """
     lib.check_planar(walker)
-    figure, film = pictures.figure, pictures.animate
-    others = asked.tilt or asked.push
-    ground = STEPS if asked.ground is None and not others else asked.ground or 0.0
+    others = tilt or push
+    ground = STEPS if ground is None and not others else ground or 0.0
     if not (ground or others):
         raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
-    deviations = wj.Disturbance(ground, asked.tilt, asked.push)
-    way = None if asked.way is None else wj.Outcome[asked.way.upper()]
-    about = {"deviations": list(deviations), "strides": asked.strides, "way": way}
+    deviations = wj.Disturbance(ground, tilt, push)
+    outcome = None if way is None else wj.Outcome[way.upper()]
+    about = {"deviations": list(deviations), "strides": strides, "way": outcome}
     request = request_for("fall", walker, **about)
-    check_picture(figure, request, overwrite=files.overwrite)
-    if film is not None and (deviations.slope or deviations.push):
+    check_picture(figure, request, overwrite=overwrite)
+    if animate is not None and (deviations.slope or deviations.push):
         raise WrongUse("--animate is for steps alone: leave out --tilt and --push")
-    check_picture(film, request, overwrite=files.overwrite, film=True)
+    check_picture(animate, request, overwrite=overwrite, film=True)
     with lib.bar("search for falls", True):
-        found = wj.most_probable_fall(walker, deviations, strides=asked.strides, outcome=way)
+        found = wj.most_probable_fall(walker, deviations, strides=strides, outcome=outcome)
     if figure is not None:
         draw(wj.figures.probable_fall(found, walker), figure, request)
-    if film is not None:
-        draw_film(walker, found, film, request)
+    if animate is not None:
+        draw_film(walker, found, animate, request)
     yield {
         "walker": request["walker"],
         "deviations": deviations._asdict(),
@@ -100,10 +96,6 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
         yield f"  Under slight disturbances nearly all falls {kind}are like this one."
     else:
         yield "  The search has not converged: another --strides may give a more probable fall."
-    if figure is not None:
-        yield f"picture {figure}"
-    if film is not None:
-        yield f"film {film}"
 
 
 def draw_film(walker: "wj.Walker", found: "lib.ProbableFall", place: Path, request: dict) -> None:

@@ -6,38 +6,28 @@ from typing import Any
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import (
-    Files,
+    OVERWRITE,
     check_picture,
     draw,
     is_map,
     listed,
     request_for,
     slope_of,
-    terms_of,
 )
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, option, refuse
-from walker_jax.cli.section import PHIDOT, Start, has_own_options, refuse_own, start_option
-from walker_jax.cli.unit_options import InUnits
+from walker_jax.cli.options import option
+from walker_jax.cli.section import start_on, start_option
+from walker_jax.cli.unit_options import UNITS, chosen_units, units_named
 
-
-class Search(Group):
-    """The kind of gaits to search for, and the start of the search."""
-
-    period: int = option(1, "Strides in a cycle.")
-    all: bool = option(False, "All gaits of the period, stable or not.")
-    guess: tuple[float, float] | None = option(
+GUESS: Any = (
+    tuple[float, float],
+    option(
         None,
-        "Where the search begins.",
+        "Short for --theta and --thetadot.",
         metavar="THETA THETADOT",
-        excludes=("start", "all"),
-    )
-    phidot: float | None = option(None, f"{PHIDOT}: with --guess.")
-    start: dict[str, float] = start_option("all", "phidot")
-
-
-class Picture(Group):
-    figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes.")
+        keys=["theta", "thetadot"],
+    ),
+)
 
 
 @command(
@@ -52,49 +42,49 @@ class Picture(Group):
     ),
     time="A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
 )
-def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, files: Files):
+def gait(
+    walker: "wj.System",
+    start: dict[str, float] = start_option(guess=GUESS),
+    period: int = option(1, "Strides in a cycle."),
+    all: bool = option(False, "All gaits of the period, stable or not.", excludes=["start"]),
+    figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes."),
+    units: dict[str, float] = UNITS,
+    overwrite: bool = OVERWRITE,
+):
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    phidot, figure = search.phidot, picture.figure
-    refuse_own(walker, guess=search.guess, phidot=phidot)
-    if search.guess is None:
-        refuse("is for --guess alone: give it too", phidot=phidot)
-    theta, thetadot = search.guess or (None, None)
-    start = Start(theta, thetadot, phidot, search.start).coordinates(walker)
-    units.check(walker)
-    guess = [*start.values()] or None
-    request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
-    check_picture(figure, request, overwrite=files.overwrite)
-    cycle = terms_of(walker).cycle
-    with lib.bar(f"search for {cycle}s", True):
-        way = "--guess THETA THETADOT" if has_own_options(walker) else "--start NAME=VALUE"
-        if start:
-            way = "another --start" if search.start else "another --guess"
-        how: Any = {"every": search.all, "instead": f"try {way}"}
-        found = lib.selection.select_gaits(walker, search.period, guess, **how)
+    begin = [*start_on(walker, start).values()] or None
+    chosen = chosen_units(units, walker)
+    request = request_for("gait", walker, period=period, guess=begin, all=all)
+    check_picture(figure, request, overwrite=overwrite)
+    with lib.bar("search for gaits", True):
+        way = "another --start" if start else "--start NAME=VALUE"
+        how: Any = {"every": all, "instead": f"try {way}"}
+        found = lib.selection.select_gaits(walker, period, begin, **how)
     if figure is not None:
         title = f"{lib.describe_briefly(walker)}: Floquet multipliers"
         draw(wj.figures.multipliers(found, title=title), figure, request)
     about, stable = request["walker"], sum(bool(one.stable) for one in found)
     for i, one in enumerate(found):
-        states, times = units.states(one.states, walker.section), units.times(one.step_times)
-        found[i] = one._replace(states=states, step_times=times)
+        states = one.states * [*map(chosen.size, lib.units_of_section(walker.section))]
+        found[i] = one._replace(states=states, step_times=one.step_times * chosen.size(lib.TIME))
     gaits = [*map(lib.summarise_gait, found)]
-    yield slope_of(about) | {"gaits": gaits, "walker": about, **units.named}
+    yield slope_of(about) | {"gaits": gaits, "walker": about, **units_named(units)}
     where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
+    of_section = [
+        f" {lib.si_unit(one)}" * bool(units) for one in lib.units_of_section(walker.section)
+    ]
     for one in found:
         kind, period = "stable" if one.stable else "unstable", len(one.states)
         multipliers = listed(one.multipliers, ".8g")
-        yield f"{kind} {cycle} of period {period} {where}, multipliers {multipliers}"
+        yield f"{kind} gait of period {period} {where}, multipliers {multipliers}"
         timeless = is_map(walker, one.step_times)
         for state, duration in zip(one.states, one.step_times, strict=True):
-            pairs = zip(walker.section, state, strict=True)
-            placed = "  ".join(f"{name} {value:.13f}{units.unit(name)}" for name, value in pairs)
-            time = f"  step time {duration:.10f}{units.unit('time')}"
+            named = zip(walker.section, state, of_section, strict=True)
+            placed = "  ".join(f"{name} {value:.13f}{unit}" for name, value, unit in named)
+            time = f"  step time {duration:.10f}{' s' if units else ''}"
             yield f"  {placed}" + ("" if timeless else time)
     if stable:
         which = "it" if len(found) == 1 else f"{stable} of these {len(found)}"
         yield f"Nearby starts converge to {which}: walker-jax basin shows from where."
     else:
         yield "None is stable: walker-jax bifurcation shows where one is."
-    if figure is not None:
-        yield f"picture {figure}"

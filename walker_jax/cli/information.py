@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from walker_jax.cli import library as lib
-from walker_jax.cli.options import Option, option_of
+from walker_jax.cli.options import Option, option_of, underscored
 from walker_jax.refusals import WrongUse
 
 PACKAGES = "jax", "jaxlib", "diffrax", "equinox", "optimistix", "numpy", "scipy", "xarray", "zarr"
@@ -26,8 +26,7 @@ def printing(lines: Callable[[], Iterator[str]], flag: str, help: str) -> Option
             ctx.exit()
 
     return Option(
-        [flag],
-        theme="Walker",
+        underscored(flag.removeprefix("--")),
         default=False,
         is_eager=True,
         expose_value=False,

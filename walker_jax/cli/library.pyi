@@ -87,6 +87,7 @@ from walker_jax.walkers.references import find_walker as find_walker
 from walker_jax.walkers.references import installed_walkers as installed_walkers
 from walker_jax.walkers.references import load_installed as load_installed
 from walker_jax.walkers.units import TIME as TIME
+from walker_jax.walkers.units import si_unit as si_unit
 from walker_jax.walkers.units import units_of_section as units_of_section
 from walker_jax.walkers.units import with_units as with_units
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, TypeGuard
 
@@ -12,8 +12,8 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, Number, hyphenated, named, option, underscored
-from walker_jax.cli.section import Volume, asked_of
+from walker_jax.cli.options import Number, hyphenated, named, option, underscored
+from walker_jax.cli.section import asked_of, axes_option, region_on
 from walker_jax.refusals import ComputationFailed, WrongUse
 
 SAVED_EVERY = 2.0
@@ -21,54 +21,23 @@ SAVED_EVERY = 2.0
 LIMIT: Any = {"type": click.Tuple([str, Number()]), "metavar": "NAME X"}
 
 
-class Problem(Group):
-    """The free parameters and the objective."""
-
-    over: list[str] = option((), "A parameter that is free; may be repeated.", multiple=True)
-    bound: dict[str, tuple[float, float]] = named(
-        "Bounds of such a parameter; one for each.", "LO:HI"
-    )
-    objective: tuple[str, ...] = option(
-        (),
-        "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
-        "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a sum.",
-        multiple=True,
-    )
-    at_least: tuple[str, float] | None = option(
-        None, "Least speed, step-length, ...; one limit.", **LIMIT
-    )
-    at_most: tuple[str, float] | None = option(
-        None, "Greatest value of one of them; one limit.", **LIMIT
-    )
-
-    def bounds(self, walker: "wj.System") -> dict[str, tuple[float, float]]:
-        """Return the bounds of the free parameters."""
-        names = [*map(underscored, self.over)]
-        if not names:
-            raise WrongUse("--over is required: a parameter that is free, such as slope")
-        for name in names:
-            lib.check_parameter(walker, name)
-            if name not in self.bound:
-                typed = hyphenated(name)
-                raise WrongUse(f"--bound is required for {typed}: {typed}=LO:HI")
-        for name in self.bound:
-            if name not in names:
-                typed = hyphenated(name)
-                raise WrongUse(f"--bound is of {typed}, which is not free: add --over {typed}")
-        return {name: self.bound[name] for name in names}
-
-
-class Search(Group):
-    starts: int = option(3, "Walkers to start from: the one given, and others.")
-    levels: int | None = option(
-        None, "Refinement at both ends (default: 4; of volumes 2).", least=0, most=8
-    )
-    strides: int = option(200, "Strides a walker is followed for.")
-    scan: int = option(15, "Values of each parameter at which the objective is drawn.", least=0)
-    seed: int = option(0, "Seed of the random starts.", least=0)
-    seconds: float | None = option(
-        None, "End with the best after these; run again to go on.", above=0
-    )
+def bounds_of(
+    walker: "wj.System", over: Sequence[str], bounds: dict[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the free parameters, in the order in which these are named."""
+    names = [*map(underscored, over)]
+    if not names:
+        raise WrongUse("--over is required: a parameter that is free, such as slope")
+    for name in names:
+        lib.check_parameter(walker, name)
+        if name not in bounds:
+            typed = hyphenated(name)
+            raise WrongUse(f"--bound is required for {typed}: {typed}=LO:HI")
+    for name in bounds:
+        if name not in names:
+            typed = hyphenated(name)
+            raise WrongUse(f"--bound is of {typed}, which is not free: add --over {typed}")
+    return {name: bounds[name] for name in names}
 
 
 @command(
@@ -80,21 +49,52 @@ class Search(Group):
     "--scan 0 shorten it.",
     out="optimum.zarr",
 )
-def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Search, output: Output):
+def optimise(
+    walker: "wj.System",
+    output: Output,
+    over: Sequence[str] = option(
+        (), "A parameter that is free; may be repeated.", multiple=True, sets=["parameter"]
+    ),
+    bounds: dict[str, tuple[float, float]] = named(
+        "Bounds of such a parameter; one for each.", "LO:HI", flags=["--bound"]
+    ),
+    objective: Sequence[str] = option(
+        (),
+        "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
+        "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a sum.",
+        multiple=True,
+    ),
+    at_least: tuple[str, float] | None = option(
+        None, "Least speed, step-length, ...; one limit.", **LIMIT
+    ),
+    at_most: tuple[str, float] | None = option(
+        None, "Greatest value of one of them; one limit.", **LIMIT
+    ),
+    axes: dict[str, Any] = axes_option("Region"),
+    starts: int = option(3, "Walkers to start from: the one given, and others."),
+    levels: int | None = option(
+        None, "Refinement at both ends (default: 4; of volumes 2).", least=0, most=8
+    ),
+    strides: int = option(200, "Strides a walker is followed for."),
+    scan: int = option(15, "Values of each parameter at which the objective is drawn.", least=0),
+    seed: int = option(0, "Seed of the random starts.", least=0),
+    seconds: float | None = option(
+        None, "End with the best after these; run again to go on.", above=0
+    ),
+):
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
 
     Measurements are saved as they are made: the same command resumes an interrupted run. The
-    picture shows the ascent, and the basins before and after.
+    picture shows the ascent, and the basins before and after. The default region is all of the
+    section.
     """
-    names = problem.objective or ("area",)
-    bounds, limits = problem.bounds(walker), {}
-    for side, limit in {"at_least": problem.at_least, "at_most": problem.at_most}.items():
+    names = objective or ("area",)
+    bounds, weights, limits = bounds_of(walker, over, bounds), objective_of(names), {}
+    for side, limit in {"at_least": at_least, "at_most": at_most}.items():
         limits[side] = {} if limit is None else {hyphenated(limit[0]): limit[1]}
-    weights, how = objective_of(names), {**vars(search)}
-    seconds = how.pop("seconds")
-    if search.levels is None:
-        how["levels"] = lib.default_levels(weights)
-    grid = region.grid(walker)
+    how: Any = {"starts": starts, "strides": strides, "scan": scan, "seed": seed}
+    how["levels"] = lib.default_levels(weights) if levels is None else levels
+    grid = region_on(walker, axes)
     asked: Any = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}
     request = request_for("optimise", walker, **asked)
     data = output.find(request)
@@ -109,7 +109,6 @@ def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Sear
     yield answer | {"walker": request["walker"]}
     yield from optimum_in_words(walker, answer, " + ".join(names))
     yield from (f"  a start led nowhere: {note}" for note in notes if note)
-    yield output.places()
 
 
 def is_done(data: "lib.xarray.Dataset | None") -> "TypeGuard[lib.xarray.Dataset]":
@@ -145,7 +144,7 @@ def computed(
                 raise
 
 
-def objective_of(texts: tuple[str, ...]) -> str | dict[str, float]:
+def objective_of(texts: Sequence[str]) -> str | dict[str, float]:
     """Read one objective by name, or the weights of several."""
     if len(texts) == 1 and "=" not in texts[0]:
         return hyphenated(texts[0])

@@ -1,28 +1,26 @@
 """Options of commands: each is declared once, with its kind of value, its default and its help.
 
-They stand in groups, the themes of the help. A command is given one object for each of its groups:
+They are parameters of the command's function:
 
-    class Search(Group):
-        period: int = option(1, "Strides in a cycle.")
+    def gait(walker: "wj.System", period: int = option(1, "Strides in a cycle.")):
 
 The annotation says how a value is read: a number of type `int` is at least 1, unless `least` says
-otherwise.
+otherwise. A parameter whose annotation is a `Group` stands for the options that this declares.
 
 What types refuse is worded by `complaint`, which puts the option before it. This module loads
 without JAX, as do all modules of commands.
 """
 
-import dataclasses
+import inspect
 import operator
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import inf, isfinite
 from pathlib import Path
-from types import UnionType
-from typing import Any, ClassVar, dataclass_transform, get_args
+from types import SimpleNamespace, UnionType
+from typing import Any, ClassVar, TypeGuard, get_args
 
 import click
 
-from walker_jax.cli import library as lib
 from walker_jax.refusals import Refusal, WrongUse
 
 LONGEST = 60
@@ -155,74 +153,96 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
     return found
 
 
-def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
-    """Make an option of a group, with settings of `Option` and bounds of `Number`.
+def put_into(ctx: Any, param: Any, value: Any) -> None:
+    """Put the value of an option for some names into the dictionary of all names."""
+    several = value if len(param.keys) > 1 else [value]
+    for name, one in zip(param.keys, several, strict=True) if value is not None else ():
+        if name in ctx.params[param.into]:
+            raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
+        ctx.params[param.into][name] = one
 
-    The annotation of its field says how a value is read; without `flags`, the field names it.
+
+def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
+    """Declare an option, with settings of `Option` and bounds of `Number`.
+
+    The parameter whose default it is names it, unless there are `flags`.
     """
-    return dataclasses.field(default=default, metadata={"flags": flags, "help": help, **settings})
+    return {"default": default, "help": help, "flags": flags, **settings}
 
 
 def named(help: str, *forms: str, **settings: Any) -> Any:
-    """Make an option that may be given for several names; its value is a dictionary of them."""
-    return option((), help, type=Named(*forms), multiple=True, callback=collect, **settings)
+    """Declare an option that may be given for several names; its value is a dictionary of them.
+
+    Options of its `own`, each with its kind of value, are for some names.
+    """
+    # It is read before its own ones, which add to its dictionary.
+    settings |= {"multiple": True, "callback": collect, "is_eager": True}
+    return option((), help, type=Named(*forms), **settings)
 
 
-def argument(metavar: str, help: str) -> Any:
-    """Make a required place, given without an option's name."""
-    return dataclasses.field(metadata={"metavar": metavar, "help": help})
+def argument(metavar: str) -> Any:
+    """Declare a required place, without an option's name; the help explains it in words."""
+    return {"metavar": metavar}
 
 
 class Option(click.Option):
-    """An option of a theme of the help, which may exclude others, by their fields."""
+    """An option of a theme of the help, for a value of a kind.
 
-    def __init__(self, names: Iterable[str], *, theme: str, excludes: Any = (), **settings: Any):
-        flag = isinstance(settings["default"], bool)
-        settings.setdefault("is_flag", flag)
-        if not flag:
+    It may exclude others, or need one, by their names. It `sets` arguments of the library, besides
+    that of its name. Its value may go `into` the dictionary of another option, under its name, or
+    under `keys`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: Any = str,
+        *,
+        theme: str = "Walker",
+        flags: Sequence[str] = (),
+        excludes: Sequence[str] = (),
+        needs: str = "",
+        sets: Sequence[str] = (),
+        into: str = "",
+        keys: Sequence[str] = (),
+        **settings: Any,
+    ):
+        kind, *_ = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+        if kind in READ and "type" not in settings:
+            bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
+            read, placeholder = READ[kind]
+            settings = {"metavar": placeholder, **settings, "type": read(**bounds)}
+        settings.setdefault("is_flag", isinstance(settings.get("default"), bool))
+        if not settings["is_flag"]:
             settings.setdefault("metavar", getattr(settings.get("type"), "name", "NAME"))
-        super().__init__([*names], **settings)
-        self.theme, self.excludes = theme, excludes
+        if into:
+            settings |= {"callback": put_into, "expose_value": False}
+        super().__init__([name, *(flags or [option_of(name)])], show_default=True, **settings)
+        self.theme, self.sets, self.into = theme, (name, *sets), into
+        self.excludes, self.needs, self.keys = excludes, needs, keys or [name]
 
     def handle_parse_result(self, ctx: click.Context, opts: Any, args: list[str]) -> Any:
-        for other in self.excludes:
-            if {self.name, other} <= opts.keys() and not ctx.resilient_parsing:
-                both = f"{name_of(self)} and {option_of(other)}"
+        if self.name in opts and not ctx.resilient_parsing:
+            params = {one.name: one for one in ctx.command.params}
+            given = {
+                getattr(one, "into", "") or one.name: one
+                for one in params.values()
+                if one.name in opts
+            }
+            for other in given.keys() & self.excludes:
+                both = f"{name_of(self)} and {name_of(given[other])}"
                 raise WrongUse(f"{both} exclude each other: give one of them")
+            if self.needs and self.needs not in opts:
+                other = name_of(params[self.needs])
+                raise WrongUse(f"{name_of(self)} goes with {other}: give it too")
         return super().handle_parse_result(ctx, opts, args)
 
 
-@dataclass_transform(frozen_default=True)
-class Group:
-    """Options of one theme; subclasses are frozen dataclasses, and each field is an option.
+class Group(SimpleNamespace):
+    """Options that several commands share, which it declares, and what is done with their values.
 
-    The theme is the name of the first class, unless another is given.
+    Their theme is its `theme`.
     """
-
-    theme: ClassVar[str] = ""
-
-    def __init_subclass__(cls, theme: str = ""):
-        cls.theme = theme or cls.theme or cls.__name__
-        dataclasses.dataclass(frozen=True)(cls)
-
-
-class Ranged(Group):
-    """Options by which a parameter goes over a range, from --from to --to."""
-
-    over: str
-    low: float | None
-    high: float | None
-
-    @property
-    def ranged(self) -> tuple[()] | tuple[str, float | None]:
-        """The parameter and its lowest value, if it has a range."""
-        return underscored(self.over), self.low
-
-    def check(self, walker: Any, low: float, high: float) -> None:
-        """Refuse values that the parameter cannot have, and a range that does not rise."""
-        lib.check_parameter(walker, underscored(self.over), low, high)
-        if not low < high:
-            raise WrongUse(f"--from {low:g} must be below --to {high:g}")
 
 
 READ: dict[Any, tuple[Callable[..., click.ParamType], str]] = {
@@ -232,29 +252,38 @@ READ: dict[Any, tuple[Callable[..., click.ParamType], str]] = {
     Axis: (lambda: click.Tuple([Number(), Number(), Whole(least=None)]), "LO HI N"),
     Path: (lambda: click.Path(path_type=Path, readable=False), "FILE"),
 }
-"""How values are read, and their placeholder, by the annotations of fields; others are texts."""
+"""How values are read, and their placeholder, by annotations; others are texts."""
 
 
-def options_of(group: Any, defaults: Mapping[str, Any]) -> list[click.Parameter]:
-    """Return the options of a group, with these defaults in place of its own."""
-    found: list[click.Parameter] = []
-    for field in dataclasses.fields(group):
-        settings = {"theme": group.theme, **field.metadata}
-        if "flags" not in settings:
-            read, _ = READ[Path]
-            one = click.Argument([field.name], type=read(), metavar=settings["metavar"])
-            vars(one).update(theme=group.theme, help=settings["help"])
-            found.append(one)
+def is_group(kind: Any) -> TypeGuard[type[Group]]:
+    """Return whether an annotation is a group of options."""
+    return isinstance(kind, type) and issubclass(kind, Group)
+
+
+def options_of(owner: Any, defaults: Mapping[str, Any]) -> Iterator[click.Parameter]:
+    """Yield the options that a function or a group declares; their own defaults give way to these.
+
+    An option that a function declares has the theme Options, unless it has another.
+    """
+    declared, theme = vars(owner), getattr(owner, "theme", "Options")
+    if not is_group(owner):
+        declared = {name: one.default for name, one in inspect.signature(owner).parameters.items()}
+    annotated = inspect.get_annotations(owner)
+    for name in sorted(annotated, key=lambda name: is_group(annotated[name])):  # groups last
+        if is_group(kind := annotated[name]):
+            yield from options_of(kind, defaults)
             continue
-        flags = settings.pop("flags") or [option_of(field.name)]
-        settings["default"] = defaults.get(field.name, field.default)
-        kind, *_ = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
-        if kind in READ and "type" not in settings:
-            bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
-            read, placeholder = READ[kind]
-            settings = {"metavar": placeholder, **settings, "type": read(**bounds)}
-        found.append(Option([field.name, *flags], **settings))
-    return found
+        if not isinstance(declared.get(name), dict):
+            continue
+        settings = {"theme": theme, **declared[name]}
+        own = settings.pop("own", {})
+        if "help" in settings:
+            default = defaults.get(name, settings["default"])
+            yield Option(name, kind, **settings | {"default": default})
+        else:
+            yield click.Argument([name], type=READ[kind][0](), metavar=settings["metavar"])
+        for key, (of, one) in own.items():
+            yield Option(key, of, theme=settings["theme"], into=name, **one)
 
 
 def only_given(**options: Any) -> dict[str, Any]:
@@ -268,30 +297,18 @@ def refuse(reason: str, **options: Any) -> None:
         raise WrongUse(f"{option_of(name)} {reason}")
 
 
-SET_BY = {
-    "parameter": "--over",
-    "bounds": "--bound",
-    "grid": "--axis",
-    "region": "--radius",
-    "cells": "the N of --over",
-    "phidot": "--at-phidot",
-    "columns": "--column",
-    "units": "--unit",
-    **dict.fromkeys(("file", "source", "recordings"), "FILE"),
-}
-"""What sets an argument of the library, where the option has another name."""
-
-
-def message_of(error: Refusal, known: Container[str]) -> str:
+def message_of(error: Refusal, params: Sequence[click.Parameter]) -> str:
     """Return a message of the library with options in the places of the arguments at fault.
 
-    An argument that none of the `known` options sets keeps its name.
+    An argument that none of these options sets keeps its name.
     """
+    set_by: dict[str, str] = {}
+    for one in reversed(params):  # a parameter of the walker before all that the command sets
+        set_by |= dict.fromkeys(getattr(one, "sets", (str(one.name),)), name_of(one))
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:
-        option = SET_BY.get(argument) or option_of(argument)
         places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
-        for i in places[-1:] if option.split()[-1] in known else ():
-            words[i] = words[i].replace(argument, option)
+        for i in places[-1:] if argument in set_by else ():
+            words[i] = words[i].replace(argument, set_by[argument])
     return ": ".join([*before, " ".join(words)])

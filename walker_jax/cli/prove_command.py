@@ -6,18 +6,8 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, option
-from walker_jax.cli.section import SlicedWindow, grid_of
-
-
-class Theorem(Group):
-    radius: float | None = option(
-        None,
-        "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",
-        excludes=("theta", "sum", "at_phidot", "axis"),
-        above=0,
-    )
-    levels: int = option(12, "Halve undecided cells this many times.", least=0)
+from walker_jax.cli.options import option
+from walker_jax.cli.section import axes_option, grid_of, window_on
 
 
 @command(
@@ -29,7 +19,19 @@ class Theorem(Group):
     time="Half a minute for the first example, most of it to compile.",
     out="proof.zarr",
 )
-def prove(walker: "wj.Walker", asked: Theorem, window: SlicedWindow, output: Output):
+def prove(
+    walker: "wj.Walker",
+    output: Output,
+    axes: dict[str, Any] = axes_option("Window"),
+    region: float | None = option(
+        None,
+        "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",
+        "--radius",
+        excludes=["axes"],
+        above=0,
+    ),
+    levels: int = option(12, "Halve undecided cells this many times.", least=0),
+):
     """Prove that all starts near a gait walk for ever, or which of a window do.
 
     Arithmetic with rigorous bounds carries cells of starts from stride to stride, until all of a
@@ -39,14 +41,13 @@ def prove(walker: "wj.Walker", asked: Theorem, window: SlicedWindow, output: Out
     is resumed by the same command.
     """
     lib.check_provable(walker)
-    radius = asked.radius
-    axes = window.axes(walker) if radius is None else {}
-    request = request_for("prove", walker, radius=radius, axes=axes, levels=asked.levels)
+    axes = window_on(walker, axes) if region is None else {}
+    request = request_for("prove", walker, radius=region, axes=axes, levels=levels)
 
     def compute():
-        region = grid_of(walker, axes) if radius is None else radius
-        how: Any = {"levels": asked.levels, **output.place(request)}
-        return wj.prove_basin(walker, region, **how)
+        where = grid_of(walker, axes) if region is None else region
+        how: Any = {"levels": levels, **output.place(request)}
+        return wj.prove_basin(walker, where, **how)
 
     data = output.produce(request, compute, "proof", kept=True)
     answer = lib.summarise_proof(data)
@@ -64,4 +65,3 @@ def prove(walker: "wj.Walker", asked: Theorem, window: SlicedWindow, output: Out
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
     yield "  proofs.md says what a proof rests on; more --levels decide more of the open cells."
-    yield output.places()

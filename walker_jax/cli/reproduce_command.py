@@ -3,28 +3,27 @@
 from pathlib import Path
 
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Files, Stopwatch
+from walker_jax.cli.answers import OVERWRITE, Stopwatch
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, option
-
-
-class Report(Group, theme="Output"):
-    out: Path = option(Path("report"), "Where the report goes.", metavar="FOLDER")
-    quick: bool = option(False, "With fewer cells and slopes, without exact areas.")
+from walker_jax.cli.options import option
 
 
 @command(
     examples=("reproduce --quick --out quick", "reproduce --out report"),
     time="Forty seconds; with --quick less.",
 )
-def reproduce(report: Report, files: Files):
+def reproduce(
+    out: Path = option(Path("report"), "Where the report goes.", metavar="FOLDER"),
+    quick: bool = option(False, "With fewer cells and slopes, without exact areas."),
+    overwrite: bool = OVERWRITE,
+):
     """Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a report.
 
     The same command resumes an interrupted run.
     """
-    clock, page = Stopwatch(), report.out / "report.html"
-    how = {"quick": report.quick, "overwrite": files.overwrite, "progress": True}
-    numbers = lib.reproduction.reproduce(report.out, **how)
+    clock, page = Stopwatch(), out / "report.html"
+    how = {"quick": quick, "overwrite": overwrite, "progress": True}
+    numbers = lib.reproduction.reproduce(out, **how)
     told = [number._asdict() for number in numbers]
     yield {"report": str(page), "numbers": told, "seconds": clock.seconds()}
     differ = [number for number in numbers if not number.agrees]

@@ -5,52 +5,29 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import WALKING, Output, Terms, listed, request_for, slope_of, terms_of
+from walker_jax.cli.answers import Output, listed, request_for, slope_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Axis, Group, Ranged, hyphenated, option, refuse, underscored
-from walker_jax.cli.section import Region, asked_of, axes_of_region, check_section
-from walker_jax.refusals import WrongUse
+from walker_jax.cli.options import hyphenated, only_given, option, refuse, underscored
+from walker_jax.cli.section import (
+    asked_of,
+    axes_of_region,
+    axes_option,
+    check_section,
+    region_on,
+)
+from walker_jax.cli.walker_options import check_range
 
 
-class Table(Ranged, theme="Slopes"):
-    over: str = option("slope", "The parameter of a table, with --from and --to.")
-    low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
-    high: float | None = option(None, "Highest.", "--to")
-    count: int | None = option(None, "Rows of the table (default: 20).", least=2, most=10_000)
+def region_of(walker: "wj.System", axes: dict[str, Any]) -> "wj.Grid | None":
+    """Return the grid of the region; None for a `basin_region` of the system's own.
 
-    @property
-    def ranged(self) -> tuple[()] | tuple[str, float | None]:
-        return () if self.low is None else super().ranged
-
-
-class BasinRegion(Region):
-    theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).")
-    sum: Axis | None = option(
-        None, "theta + thetadot (simplest: -0.12 0.06 200, else -1.1 0.1 800)."
-    )
-
-    def grid(self, walker: "wj.System") -> "wj.Grid | None":
-        """Return the grid of the region; None for a `basin_region` of the system's own.
-
-        The default for other systems is the region of their gaits.
-        """
-        grid = super().grid(walker)
-        if type(walker).basin_region is not wj.System.basin_region:
-            return grid
-        check_section(walker, self.axis)
-        return grid or lib.grid_along(axes_of_region(walker))
-
-
-class Measures(Group):
-    levels: int = option(4, "Halve boundary cells this many times.", least=0, most=8)
-    disturbances: float = option(
-        0.1, "Largest disturbance for basin stability, as a share of the gait's state.", above=0
-    )
-    strides: int = option(500, "Strides in which a walker may come back.")
-    ground: float | None = option(
-        None, "Standard deviation of steps of rough ground: how long walks last there.", least=0
-    )
-    seed: int = option(0, "Seed of random numbers.", least=0)
+    The default for other systems is the region of their gaits.
+    """
+    grid = region_on(walker, axes)
+    if type(walker).basin_region is not wj.System.basin_region:
+        return grid
+    check_section(walker, axes)
+    return grid or lib.grid_along(axes_of_region(walker))
 
 
 @command(
@@ -63,32 +40,44 @@ class Measures(Group):
     out="robustness.zarr",
 )
 def robustness(
-    walker: "wj.System", table: Table, region: BasinRegion, measures: Measures, output: Output
+    walker: "wj.System",
+    output: Output,
+    parameter: str = option("slope", "The parameter of a table.", "--over", needs="low"),
+    low: float | None = option(None, "Its lowest value.", "--from", needs="high"),
+    high: float | None = option(None, "Its highest value.", "--to", needs="low"),
+    count: int = option(20, "Rows of the table.", least=2, most=10_000, needs="low"),
+    axes: dict[str, Any] = axes_option("Region"),
+    levels: int = option(4, "Halve boundary cells this many times.", least=0, most=8),
+    disturbances: float = option(
+        0.1, "Largest disturbance for basin stability, as a share of the gait's state.", above=0
+    ),
+    strides: int = option(500, "Strides in which a walker may come back."),
+    ground: float | None = option(
+        None, "Standard deviation of steps of rough ground: how long walks last there.", least=0
+    ),
+    seed: int = option(0, "Seed of random numbers.", least=0),
 ):
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
     The measures: the basin's area; the least disturbance from which the walker does not return to
     its gait, and the least from which it falls; the least step down; the fraction of random
     disturbances that it survives; the dimension of the boundary; and on rough ground the mean
-    number of strides until it falls.
+    number of strides until it falls. The default region is --theta 0 0.7854 200, and for the
+    simplest walker --sum -0.12 0.06 200, for others --sum -1.1 0.1 800.
     """
-    name, low, high, values = underscored(table.over), table.low, table.high, None
-    if (low is None) != (high is None):
-        raise WrongUse("--from and --to are for a table: give both or none")
-    if low is None or high is None:
-        named = None if name == "slope" else name
-        refuse("is for a table: give --from and --to too", count=table.count, over=named)
-    else:
-        table.check(walker, low, high)
-        values = lib.space_decimals(low, high, table.count or 20)
+    name, values = underscored(parameter), None
+    if low is not None and high is not None:
+        check_range(walker, name, low, high)
+        values = lib.space_decimals(low, high, count)
     if not lib.is_planar(walker):
         plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
-        refuse(plane, ground=measures.ground)
-    how: Any = {key: value for key, value in vars(measures).items() if value is not None}
+        refuse(plane, ground=ground)
+    how: Any = {"levels": levels, "disturbances": disturbances, "strides": strides}
+    how |= only_given(ground=ground) | {"seed": seed}
     shape = walker.picture()
     if shape is not None and shape.axes == 3:
         how["check"] = lib.check_starts(walker, exact=True)
-    grid = region.grid(walker)
+    grid = region_of(walker, axes)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
     request = request_for("robustness", walker, without=[name] * bool(values), **asked)
     over: Any = {} if values is None else {"values": values, "parameter": name}
@@ -109,12 +98,11 @@ def robustness(
     yield f"Robustness, {lib.write_description(shown)}"
     for row, place in zip(rows, at, strict=True):
         where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
-        yield from measures_in_words(row, where, terms_of(walker))
+        yield from measures_in_words(row, where)
     yield f"  {advice}."
-    yield output.places()
 
 
-def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator[str]:
+def measures_in_words(row: dict, where: str) -> Iterator[str]:
     """Write the answer of `robustness` at one value of the parameter."""
     yield f"  {where}area {row['area']:.7g} +- {row['area_error']:.1g}"
     if row["at_border"]:
@@ -122,15 +110,15 @@ def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator
     if row["note"]:
         yield f"    {row['note']}"
     if row["gait"] is None:
-        yield f"    no {terms.cycle} attracts"
+        yield "    no gait attracts"
         return
     gait, smallest = row["gait"], row["least_disturbance"]
     multiplier = f"largest multiplier {gait['multiplier']:.6f}"
-    yield f"    {terms.cycle} of period {gait['period']}, {multiplier}"
-    yield f"    least disturbance {disturbance_in_words(smallest, terms)}"
+    yield f"    gait of period {gait['period']}, {multiplier}"
+    yield f"    least disturbance {disturbance_in_words(smallest)}"
     if smallest["failure"] == "STRIDE" and row["least_fall"] is not None:
         fall = row["least_fall"]
-        words = "none found" if fall["failure"] is None else disturbance_in_words(fall, terms)
+        words = "none found" if fall["failure"] is None else disturbance_in_words(fall)
         yield f"    least one from which it falls {words}"
     if row["step_down"] < float("inf"):  # it is not computed for walkers in space
         down = f"{row['step_down']:.8f}"
@@ -140,12 +128,12 @@ def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator
     survived = row["basin_stability"]
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
-        f"disturbances up to {survived['disturbances']:g} of the {terms.cycle}'s state are "
-        f"survived; half of them are over in {survived['median_strides']:g} {terms.step}s, "
+        f"disturbances up to {survived['disturbances']:g} of the gait's state are "
+        f"survived; half of them are over in {survived['median_strides']:g} strides, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
     yield (
-        f"    {survived['in_time']:.1%} are over in 10 {terms.step}s; on average they take "
+        f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
         f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
         f"{gait['return_strides']:.3g}; the largest that is survived is "
         f"{survived['largest_shock']:.3g}"
@@ -163,12 +151,12 @@ def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator
         yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
 
 
-def disturbance_in_words(disturbance: dict, terms: Terms) -> str:
+def disturbance_in_words(disturbance: dict) -> str:
     """Write a least disturbance."""
     end = "leads to another motion"
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"
     if disturbance["failure"] != "STRIDE":
-        after = f"after {disturbance['strides']} {terms.step}s"
+        after = f"after {disturbance['strides']} strides"
         end = f"{lib.outcome_in_words(disturbance['failure'])} {after}"
     return f"{disturbance['size']:.8f} along ({listed(disturbance['direction'], '.4f')}): {end}"

@@ -1,186 +1,135 @@
-"""Options for coordinates of the section: the axes of a picture or a region, and a start."""
+"""Options for coordinates of the section: the axes of a window or a region, and a start.
 
+Each is a dictionary by names, to which coordinates of walkers in the plane come by own options.
+"""
+
+from collections.abc import Iterable
 from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.options import RANGE, Axis, Group, named, only_given, option, option_of, refuse
+from walker_jax.cli.options import RANGE, Axis, named, option
 from walker_jax.refusals import WrongUse
 
-PHIDOT = "Rate between the legs, on sections that have it"
 WINDOW_CELLS = 200
 """Cells along each axis of a default window."""
+OWN = "theta", "sum", "thetadot", "phidot"
+"""Coordinates that have options of their own."""
+PHIDOT = "Rate between the legs, on sections that have it"
 
 
-def start_option(*excludes: str) -> Any:
-    """Make the option for the coordinates of a start."""
+def start_option(**more: Any) -> Any:
+    """Declare the options for the coordinates of a start, and more of them."""
+    own = {
+        "theta": (float, option(None, "Stance angle, rad.")),
+        "thetadot": (float, option(None, "Its rate, rad per unit of time.")),
+        "phidot": (float, option(None, f"{PHIDOT}.")),
+        **more,
+    }
     text = "A coordinate of the start, by name: one for each."
-    return named(text, "VALUE", excludes=excludes)
+    return named(text, "VALUE", theme="Start", own=own)
 
 
-def axes_option(*excludes: str) -> Any:
-    """Make the option for axes by name."""
+def axes_option(theme: str) -> Any:
+    """Declare the options for the axes of a window, or a region."""
+    own = {
+        "theta": (Axis, option(None, "Stance angle, rad.")),
+        "sum": (Axis, option(None, "theta + thetadot.")),
+        "thetadot": (Axis, option(None, "The plain section: thetadot in the place of --sum.")),
+        "phidot": (Axis, option(None, f"{PHIDOT}.")),
+        "at_phidot": (float, option(None, "A slice of such a section.", keys=["phidot"])),
+    }
+    return axis_option(theme=theme, own=own, sets=["grid", "axis"])
+
+
+def axis_option(**settings: Any) -> Any:
+    """Declare the option for axes by name."""
     text = "An axis by name, or NAME=VALUE for a slice: one for each coordinate of the section."
-    return named(text, RANGE, "VALUE", metavar=f"NAME={RANGE}", excludes=excludes)
+    return named(text, RANGE, "VALUE", flags=["--axis"], metavar=f"NAME={RANGE}", **settings)
 
 
-class Section(Group, theme="Window"):
-    """Axes by options of their own, for walkers in the plane, or all axes by --axis."""
-
-    theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.4 200).")
-    sum: Axis | None = option(None, "theta + thetadot (default: -0.04 0.01 250).")
-    axis: dict[str, Any] = axes_option("theta", "sum", "thetadot", "phidot", "at_phidot")
-
-    def given(self, walker: "wj.System", most: int | None = None) -> dict[str, Any]:
-        """Return the axes that are given, by name; None where a walker's own is missing.
-
-        Options of their own are for sections with the plane of theta and thetadot; they are
-        refused for any other, as are those for coordinates that the section lacks. At most `most`
-        of the axes of --axis may be ranges.
-        """
-        if self.axis:
-            return named_axes(walker, self.axis, most)
-        own = only_given(**vars(self))
-        del own["axis"]  # none is given
-        if not has_plane(walker):
-            each = "give --axis for each coordinate of the section"
-            refuse(f"is for walkers in the plane: {each}", **own)
-            return {}
-        second = "thetadot" if "thetadot" in own else "sum"
-        axes = {"theta": self.theta, second: own.get(second)}
-        if "phidot" in walker.section:
-            return axes | {"phidot": own.get("phidot", own.get("at_phidot"))}
-        others = {name: own.get(name) for name in ("phidot", "at_phidot")}
-        section = ", ".join(walker.section)
-        refuse(f"must be left out: it is not on the section, {section}", **others)
-        return axes
+def check_names(option: str, names: Iterable[str], given: dict[str, Any]) -> None:
+    """Refuse coordinates of other names than these."""
+    for name in given:
+        if name not in names:
+            typed = f"--{name}" if name in OWN else f"{option} {name}"
+            raise WrongUse(f"{typed} must be left out: the coordinates are {', '.join(names)}")
 
 
-class Window(Section):
-    """The window of a picture, by default that of the paper."""
-
-    def axes(self, walker: "wj.System", most: int = 2) -> dict[str, Any]:
-        """Return the axes; at most `most` of them may be ranges.
-
-        For a walker an axis may be None. The default for any other system is its `gait_region`.
-        """
-        axes = self.given(walker, most) or axes_of_region(walker)
-        if not self.axis and has_plane(walker):
-            axes = lib.fill_from_paper(walker, axes | dict.fromkeys(walker.section[3:]))
-        check_drawable(lib.outline(axes))
-        return axes
+def start_on(walker: "wj.System", given: dict[str, float], **usual: float) -> dict[str, float]:
+    """Return the coordinates of a start, in the order of the section: none, or all."""
+    given = usual | given
+    check_names("--start", walker.section, given)
+    for name in walker.section if given else ():
+        if name not in given:
+            raise WrongUse(f"--start {name}=VALUE is required too")
+    return {name: given[name] for name in walker.section if given}
 
 
-class SlicedWindow(Window):
-    """A window that may be a slice of a section of three dimensions."""
-
-    at_phidot: float | None = option(None, f"{PHIDOT}: a slice there (default: at the gait).")
-
-
-class Region(Section, theme="Region"):
-    """The region in which areas are measured, by default all of the section."""
-
-    theta: Axis | None = option(None, "Stance angle, rad (default: all).")
-    sum: Axis | None = option(None, "theta + thetadot.")
-    at_phidot: float | None = option(None, f"{PHIDOT}: a slice there, of --theta and --sum.")
-
-    def grid(self, walker: "wj.System") -> "wj.Grid | None":
-        """Return the grid of these axes; None if no axes are given."""
-        axes = self.given(walker)
-        if all(axis is None for axis in axes.values()):
-            return None
-        if None in axes.values():
-            ranged = isinstance(axes.get("phidot"), tuple)
-            names = ("at-phidot" if name == "phidot" and not ranged else name for name in axes)
-            raise WrongUse(f"give {' and '.join(f'--{name}' for name in names)}, or none of them")
-        grid = lib.grid_along(axes)
-        check_drawable(grid)
-        return grid
-
-
-class Volume(Region):
-    """A region of two dimensions or three."""
-
-    phidot: Axis | None = option(
-        None, "The rate between the legs, for volumes.", excludes=["at_phidot"]
-    )
-
-
-class Start(Group):
-    """A point of the section."""
-
-    theta: float | None = option(None, "Stance angle at the start, rad (default: see below).")
-    thetadot: float | None = option(None, "Its rate at the start, rad per unit of time.")
-    phidot: float | None = option(None, f"{PHIDOT}.")
-    start: dict[str, float] = start_option("theta", "thetadot", "phidot")
-
-    def coordinates(self, walker: "wj.System", **usual: float) -> dict[str, float]:
-        """Return the coordinates of the start, in the order of the section: none, or all.
-
-        Options of their own may have `usual` values.
-        """
-        own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
-        refuse_own(walker, **own)
-        if self.start:
-            check_names("--start", walker, self.start, "NAME=VALUE is required too")
-        given, section = self.start or usual | only_given(**own), ", ".join(walker.section)
-        for name in walker.section if given else ():
-            if name not in given:
-                raise WrongUse(f"--{name} is required too: the section is {section}")
-        for name in given:
-            if name not in walker.section:
-                raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
-        return {name: given[name] for name in walker.section if given}
-
-    def begin(self, walker: "wj.System", **usual: float) -> list[float]:
-        """Return the start, by default the first state of the gait."""
-        if given := self.coordinates(walker, **usual):
-            return [*given.values()]
-        own = ", ".join(map(option_of, walker.section))
-        instead = f"give {own if has_own_options(walker) else '--start NAME=VALUE'}"
-        (gait,) = lib.selection.select_gaits(walker, instead=instead)
-        return gait.states[0].tolist()
+def begin_at(walker: "wj.System", start: dict[str, float]) -> list[float]:
+    """Return a start, or the first state of the gait if none is given."""
+    if start:
+        return [*start.values()]
+    (gait,) = lib.selection.select_gaits(walker, instead="give --start NAME=VALUE")
+    return gait.states[0].tolist()
 
 
 def has_plane(walker: "wj.System") -> bool:
-    """Return whether a section has the plane of theta and thetadot, which has own options."""
+    """Return whether a section has the plane of theta and thetadot, where windows are sheared."""
     return walker.section[:2] == ("theta", "thetadot")
 
 
-def has_own_options(walker: "wj.System") -> bool:
-    """Return whether all coordinates of a section have options of their own."""
-    return {*walker.section} <= {"theta", "thetadot", "phidot"}
+def axes_on(walker: "wj.System", given: dict[str, Any]) -> dict[str, Any]:
+    """Return the axes in the order of the section; None where none is given.
 
-
-def refuse_own(walker: "wj.System", **own: Any) -> None:
-    """Refuse options of their own for coordinates where some coordinates have none."""
-    if not has_own_options(walker):
-        each = f"give --start NAME=VALUE, for each of {', '.join(walker.section)}"
-        refuse(f"is for walkers in the plane: {each}", **own)
-
-
-def check_names(option: str, walker: "wj.System", given: dict[str, Any], missing: str) -> None:
-    """Refuse names that are not on the section, and coordinates without a name."""
-    for name in given:
-        if name not in walker.section:
-            section = ", ".join(walker.section)
-            raise WrongUse(f"{option} must be of the section, {section}, not of {name}")
-    for name in walker.section:
-        if name not in given:
-            raise WrongUse(f"{option} {missing.replace('NAME', name)}")
-
-
-def named_axes(walker: "wj.System", given: dict[str, Any], most: int | None = None) -> dict:
-    """Return the axes that --axis names, in the order of the section.
-
-    For a picture at least two and at most `most` of them must be ranges.
+    Instead of thetadot, a walker in the plane has the axis `sum` unless thetadot is given.
     """
-    check_names("--axis", walker, given, f"NAME={RANGE} is required too, or NAME=VALUE for a slice")
-    count = sum(isinstance(axis, tuple) for axis in given.values())
-    if most is not None and not 2 <= count <= most:
+    names = [*walker.section]
+    if has_plane(walker) and "thetadot" not in given:
+        names[1] = "sum"
+    check_names("--axis", names, given)
+    return {name: given.get(name) for name in names}
+
+
+def check_whole(axes: dict[str, Any]) -> None:
+    """Refuse axes of which some are missing."""
+    for name, axis in axes.items():
+        if axis is None:
+            either = f"--axis {name}={RANGE} is required too, or {name}=VALUE for a slice"
+            raise WrongUse(either)
+
+
+def window_on(walker: "wj.System", given: dict[str, Any], most: int = 2) -> dict[str, Any]:
+    """Return the axes of a window, of which two, or up to `most`, are ranges.
+
+    An axis of a walker in the plane may be None. The default for any other system is its
+    `gait_region`.
+    """
+    axes = axes_on(walker, given)
+    if has_plane(walker):
+        axes = lib.fill_from_paper(walker, axes)
+    elif given:
+        check_whole(axes)
+    else:
+        axes = axes_of_region(walker)
+    slices = [axis for name, axis in axes.items() if axis is None and name == "phidot"]
+    count = len(axes) - len(slices) - sum(isinstance(axis, float) for axis in axes.values())
+    if not 2 <= count <= most:
         numbers = "two" if most == 2 else "two or three"
         raise WrongUse(f"--axis must be NAME={RANGE} for {numbers} coordinates, not {count}")
-    return {name: given[name] for name in walker.section}
+    check_drawable(lib.outline(axes))
+    return axes
+
+
+def region_on(walker: "wj.System", given: dict[str, Any]) -> "wj.Grid | None":
+    """Return the grid of a region; None if no axes are given."""
+    if not given:
+        return None
+    axes = axes_on(walker, given)
+    check_whole(axes)
+    grid = lib.grid_along(axes)
+    check_drawable(grid)
+    return grid
 
 
 def axes_of_region(system: "wj.System") -> dict[str, Any]:

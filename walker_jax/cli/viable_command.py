@@ -4,23 +4,11 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Pieces, request_for, terms_of
+from walker_jax.cli.answers import Output, Pieces, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
-from walker_jax.cli.section import Window, grid_of
+from walker_jax.cli.options import RANGE, Axis, hyphenated, named, option
+from walker_jax.cli.section import axes_option, grid_of, window_on
 from walker_jax.refusals import WrongUse
-
-
-class Actions(Group):
-    action: dict[str, Axis] = named(
-        "A parameter that is chosen anew before each stride, with N values; all combinations of "
-        "several.",
-        RANGE,
-    )
-    no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
-    levels: int = option(
-        0, "Halve cells between the bounds this many times: narrows the bounds.", least=0, most=8
-    )
 
 
 @command(
@@ -32,7 +20,22 @@ class Actions(Group):
     time="Half a minute for the first example.",
     out="viable.zarr",
 )
-def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, output: Output):
+def viable(
+    walker: "wj.System",
+    pieces: Pieces,
+    output: Output,
+    actions: dict[str, Axis] = named(
+        "A parameter that is chosen anew before each stride, with N values; all combinations of "
+        "several.",
+        RANGE,
+        flags=["--action"],
+    ),
+    axes: dict[str, Any] = axes_option("Window"),
+    no_bounds: bool = option(False, "Do not bound the area, which halves the time."),
+    levels: int = option(
+        0, "Halve cells between the bounds this many times: narrows the bounds.", least=0, most=8
+    ),
+):
     """Compute how large the basin could be: from where some choice of actions walks for ever.
 
     Before each stride a controller chooses a value for each --action, such as the push-off. The
@@ -41,7 +44,7 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
     counted too. The window must hold all coordinates of the section: of two, its default is that of
     the command basin; of three, --axis gives each, and the picture is the slice in the middle.
     """
-    actions, known = asked.action, lib.numbers_of(walker)
+    known = lib.numbers_of(walker)
     if not actions:
         example = "--action push-off=0:0.1:16"
         raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
@@ -50,15 +53,15 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
             names = ", ".join(map(hyphenated, known))
             raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
         lib.check_parameter(walker, name, low, high)
-    if len(walker.section) > 2 and not window.axis:
+    if len(walker.section) > 2 and not axes:
         section = ", ".join(walker.section)
         raise WrongUse(
             f"--axis NAME={RANGE} is required for each of {section}: a slice is not enough"
         )
-    axes = window.axes(walker, most=3)
-    if asked.no_bounds and asked.levels:
+    axes = window_on(walker, axes, most=3)
+    if no_bounds and levels:
         raise WrongUse("--levels narrows the bounds: leave out --no-bounds")
-    how: Any = {"bounds": not asked.no_bounds, "levels": asked.levels}
+    how: Any = {"bounds": not no_bounds, "levels": levels}
     request = request_for("viable", walker, axes=axes, actions=actions, **how)
     how |= {"cluster": pieces.cluster, **output.place(request)}
 
@@ -73,15 +76,12 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
     if answer["inner_area"] is not None:
         between = f", between {answer['inner_area']:.4g} and {answer['outer_area']:.4g}"
     yield f"  area {answer['area']:.6g}{between}; passive basin {answer['target_area']:.6g}"
-    levels = answer["levels"] if len(answer["levels"]) > 1 else []
-    for n, one in enumerate(levels):
+    for n, one in enumerate(answer["levels"] if levels else []):
         areas = f"between {one['inner_area']:.4g} and {one['outer_area']:.4g}"
         yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
-    step = terms_of(walker).step
     for n, area in enumerate(answer["capturable"], 1):
-        yield f"  caught within {n} {step}{'s' * (n > 1)}: {area:.6g}"
+        yield f"  caught within {n} stride{'s' * (n > 1)}: {area:.6g}"
     yield (
         "  In this window, as far as the grid tells, no controller with these actions has a "
         "larger basin than the kernel."
     )
-    yield output.places()

@@ -15,7 +15,7 @@ import click
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.information import LIST_WALKERS
-from walker_jax.cli.options import Number, Option, option_of, underscored
+from walker_jax.cli.options import Option, option_of, underscored
 from walker_jax.refusals import WrongUse
 from walker_jax.systems.parameter import Option as Check
 from walker_jax.systems.parameter import Parameter
@@ -25,7 +25,6 @@ DEFAULT = "simplest"
 """Default walker of all commands."""
 PREFIX = "walker_"
 """Prefix of a parameter among the values of options: a command may have an option of its name."""
-THEME: Any = {"theme": "Walker", "default": None}
 
 
 def walkers_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
@@ -34,16 +33,16 @@ def walkers_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
 
 
 WALKER = Option(
-    ["walker", "--walker"],
+    "walker",
+    default=None,
     help=f"The model, such as kneed, FILE.py:CLASS or ROBOT.xml (default: {DEFAULT}).",
     shell_complete=walkers_that_begin,
-    **THEME,
 )
 SYSTEM = Option(
-    ["system", "--system"],
+    "system",
+    default=None,
     help="Any other system, such as henon, or FILE.py:NAME.",
     shell_complete=lambda ctx, param, begun: [one for one in lib.SYSTEMS if one.startswith(begun)],
-    **THEME,
 )
 LENIENT = {"ignore_unknown_options": True, "allow_extra_args": True}
 NAMES = click.Command(None, LENIENT, params=[WALKER, SYSTEM], add_help_option=False)
@@ -122,16 +121,17 @@ class Chosen(NamedTuple):
 
 def option_for(one: Any) -> Option:
     """Make the option of a parameter, of an array or tree of them, or of a check of strides."""
-    names = PREFIX + one.name, option_of(one.name)
+    about: dict[str, Any] = {"flags": [option_of(one.name)], "sets": [one.name], "default": None}
     if isinstance(one, Check):
-        return Option(names, is_flag=True, help=f"{one.meaning}.", **THEME)
+        return Option(PREFIX + one.name, is_flag=True, help=f"{one.meaning}.", **about)
     if not isinstance(one, Parameter):
         text = "File of its numbers, as eqx.tree_serialise_leaves writes them."
-        return Option(names, metavar="FILE", help=text, **THEME)
-    about = "; ".join(filter(None, (one.meaning, one.unit)))
+        return Option(PREFIX + one.name, metavar="FILE", help=text, **about)
+    text = "; ".join(filter(None, (one.meaning, one.unit)))
     default = "required" if math.isnan(one.default) else f"default: {one.default:g}"
-    text, check = f"{about} ({default})".strip(), partial(check_bounds, one)
-    return Option(names, type=Number(), callback=check, help=text, **THEME)
+    check = partial(check_bounds, one)
+    text = f"{text} ({default})".strip()
+    return Option(PREFIX + one.name, float, callback=check, help=text, **about)
 
 
 def choose(args: Sequence[str], *, systems: bool, opening: bool = False) -> Chosen:
@@ -185,3 +185,10 @@ def read_tree(tree: "lib.Tree", file: str | None) -> Any:
     except (Exception, SystemExit) as error:  # whatever NumPy makes of a file
         reason = " ".join(str(error).split())
         raise WrongUse(f"{option} {file} must be a file of such numbers: {reason}") from error
+
+
+def check_range(walker: "wj.System", parameter: str, low: float, high: float) -> None:
+    """Refuse values that a parameter cannot have, and a range that does not rise."""
+    lib.check_parameter(walker, parameter, low, high)
+    if not low < high:
+        raise WrongUse(f"--from {low:g} must be below --to {high:g}")
