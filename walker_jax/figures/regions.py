@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from walker_jax.basins.cell_classes import along_axis, failing_cells, large_basins, walking_cells
 from walker_jax.figures import style
-from walker_jax.figures.layout import figure_of, width_of
+from walker_jax.figures.layout import LETTER, figure_of
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import NO_BREAK, SYMBOLS, format_number
 from walker_jax.systems.outcomes import Outcome, failures_of, names_in
@@ -199,7 +199,7 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
     look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
     letter, words = (region.letter, style.LARGE, "bold"), (region.words, style.SMALL, "normal")
     for lines in ([letter, words], [letter]) if region.letter else ([words],):
-        wide = 72 * max(width_of(*line) for line in lines)
+        wide = max(LETTER * style.points_of(font) * len(words) for words, font, _ in lines)
         tall = sum(1.2 * style.points_of(font) for _, font, _ in lines)
         # The ellipse within the box of the words fits where its centre is deeper than 1.
         depth = depths(cells, 2 * size / np.array((wide, tall)) / cells.shape)
