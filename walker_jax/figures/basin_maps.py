@@ -98,7 +98,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
         )
     x, y, z = regions.axes_of(data)
     depths = data[z].values
-    chosen = evenly_spaced(len(depths), PANELS)
+    chosen = np.linspace(0, len(depths), 2 * min(len(depths), PANELS) + 1)[1::2].astype(int)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     size = 3.1 * columns + 0.6, 2.7 * rows + 1.5
@@ -171,10 +171,3 @@ def middle_of(data: xr.Dataset, axis: str) -> float:
 def share_drawn(data: xr.Dataset) -> int:
     """Return the number of cells of the whole basin that each cell of the data stands for."""
     return int(data.attrs.get("thinned", 1))
-
-
-def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Return at most `most` equally spaced indices, without the ends; all, if so few."""
-    if count <= most:
-        return np.arange(count)
-    return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))

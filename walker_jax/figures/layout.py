@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 from jaxtyping import Float
 from matplotlib import rc_context
 from matplotlib.artist import Artist
@@ -153,7 +154,9 @@ def figure_of(ax: Axes) -> Figure:
     return cast(Figure, ax.get_figure(root=True))
 
 
-def widened(ends: Float[np.ndarray, "*axes 2"], share: float, least: float = 0.0) -> np.ndarray:
+def widened(
+    ends: Float[np.ndarray, "*axes 2"], share: float, least: Float[ArrayLike, "..."] = 0.0
+) -> np.ndarray:
     """Return the ends of ranges, moved outwards by a share of their widths, or by the least."""
     beyond = np.maximum(share * np.ptp(ends, axis=-1, keepdims=True), least)
     return ends + beyond * [-1, 1]
@@ -183,12 +186,10 @@ def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any)
 
 def name_outer_axes(panels: Sequence[Axes], used: int, x: str, y: str) -> None:
     """Name the axes at the left and below of rows of panels, and hide the last, unused ones."""
-    for ax in panels[used:]:
-        ax.set_visible(False)
-    for ax in panels:
-        place: Any = ax.get_subplotspec()
-        below, left = place.is_last_row(), place.is_first_col()
-        name_axes(ax, x if below else None, y if left else None, size=SMALL)
+    for k, ax in enumerate(panels):
+        ax.set_visible(k < used)
+        name_axes(ax, x, y, size=SMALL)
+        ax.label_outer()
 
 
 def finish(
@@ -270,18 +271,16 @@ def in_columns(handles: Sequence[Artist | Container], letters: int) -> dict[str,
     return {"handles": handles, "labels": labels, "ncols": math.ceil(count / rows)}
 
 
-def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:
+def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist] = (), note: str = "") -> None:
     """Put a legend at the left, below all axes of a figure, under a note.
 
-    It has what is labelled on some of the axes, each label once, and then the given signs of other
-    labels, each label and colour once.
+    It has what is labelled on some of the axes, and then the given signs, each label and colour
+    once.
     """
     axes = [*axes]
-    labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes))
-    named = {one.get_label(): one for one in labelled}
+    labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes), signs)
     colour = lambda one: str(one.get_facecolor() if isinstance(one, Patch) else one.get_color())
-    others = {(one.get_label(), colour(one)): one for one in signs if one.get_label() not in named}
-    handles = [*named.values(), *others.values()]
+    handles = [*{(one.get_label(), colour(one)): one for one in labelled}.values()]
     figure = figure_of(axes[0])
     wide = letters_in(figure.get_figwidth(), "legend.fontsize")
     above: Any = in_lines(note, wide) or None

@@ -61,11 +61,9 @@ def step(data: xr.Dataset) -> Figure:
         ax.set_title(note, loc="right", fontsize=SMALL)
         ax.set(xlim=(left, right), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
         ax.set_axis_off()
-    legs = [
-        Line2D([], [], color=colour, lw=3, label=f"{name} leg")
-        for name, colour in (("stance", INK), ("swing", SWING))
-    ]
-    figure_legend(panels, legs)
+    for name, colour in (("stance", INK), ("swing", SWING)):
+        panels[-1].plot([], [], color=colour, lw=3, label=f"{name} leg")
+    figure_legend(panels)
     figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
     return figure
 

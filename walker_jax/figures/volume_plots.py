@@ -82,9 +82,8 @@ def window_of(data: xr.Dataset, cells: np.ndarray) -> Float[np.ndarray, "axis en
     names = data["axis"].values.tolist()
     places = [data[name].values[one] for name, one in zip(names, index, strict=True)]
     ends = np.quantile(places, (TAILS, 1 - TAILS), axis=1).T
-    beyond = MARGIN * np.ptp(ends, axis=1) + np.ptp(whole, axis=1) / 100
-    ends += beyond[:, None] * [-1, 1]
-    return np.clip(ends, whole[:, :1], whole[:, 1:])
+    least = np.ptp(whole, axis=1, keepdims=True) / 100
+    return np.clip(layout.widened(ends, MARGIN, least), whole[:, :1], whole[:, 1:])
 
 
 def draw_surface(
