@@ -94,8 +94,8 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     if without.any():
         shown = np.ma.masked_where(~without.T, np.ones(without.T.shape))
         look: Any = {"hatch": EMPTY["hatch"], "edgecolors": EMPTY["edgecolor"], "linewidth": 0}
-        look["cmap"] = ListedColormap([EMPTY["facecolor"]])
-        ax.pcolor(*regions.corners_of(extent, fate.shape), shown, zorder=2, **look)
+        look |= {"cmap": ListedColormap([EMPTY["facecolor"]]), "shading": "nearest"}
+        ax.pcolor(*(data[one] for one in data["cell_fate"].dims), shown, zorder=2, **look)
         handles.append(Patch(**EMPTY, lw=0.5, label="no gait"))
     return handles
 

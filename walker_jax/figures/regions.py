@@ -117,12 +117,6 @@ def extent_of(cells: xr.DataArray) -> Extent:
     return (*cell_edges(cells[x].values), *cell_edges(cells[y].values))
 
 
-def corners_of(extent: Extent, shape: tuple[int, ...]) -> list[Float[np.ndarray, " n"]]:
-    """Return the edges of all cells along each axis."""
-    ends = zip(np.reshape(extent, (2, 2)), shape, strict=True)
-    return [np.linspace(first, last, n + 1) for (first, last), n in ends]
-
-
 def show_image(ax: Axes, image: np.ndarray, extent: Extent, **look: Any) -> None:
     """Draw an image of cells, the first axis along x, on all of the axes."""
     look = {"interpolation": "auto", "rasterized": True} | look
@@ -221,7 +215,6 @@ def keep_clear(
     free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"], extent: Extent
 ) -> None:
     """Mark in `free` that no label may stand on these dots."""
-    shape, low = np.array(free.shape), np.array(extent[::2])
-    for dot in np.nan_to_num((dots - low) / (np.array(extent[1::2]) - low), nan=-1):
-        first, last = (np.clip(dot + side * 0.03, 0, 1) * shape for side in (-1, 1))
-        free[int(first[0]) : int(last[0]) + 1, int(first[1]) : int(last[1]) + 1] = False
+    ends, (x, y) = np.reshape(extent, (2, 2)), (np.linspace(0, 1, n) for n in free.shape)
+    for across, up in (dots - ends[:, 0]) / np.ptp(ends, axis=1):
+        free[np.ix_(abs(x - across) < 0.03, abs(y - up) < 0.03)] = False
