@@ -70,7 +70,7 @@ def probable_fall(
         about = {"walker": type(walker).__name__} | attributes_of(walker)
         subtitle = lines if style.get("subtitle", True) else []
         lines = [walker_title(xr.Dataset(attrs=about)), *subtitle]
-    layout.figure_title(figure, "\n".join(lines), "large", style)
+    layout.figure_title(figure, "\n".join(lines), style)
     return figure
 
 

@@ -294,10 +294,8 @@ def chosen_title(style: Style, title: str) -> str:
     return own if isinstance(own, str) else title * own
 
 
-def figure_title(
-    figure: Figure, title: str, size: str = "x-large", style: Style | None = None
-) -> None:
+def figure_title(figure: Figure, title: str, style: Style | None = None) -> None:
     """Write a title at the left, above all axes of a figure."""
     if title := chosen_title(style or {}, title):
-        lines = in_lines(title, letters_in(figure.get_figwidth() / WIDER, size))
-        figure.suptitle(lines, x=0.01, ha="left", size=size, weight="bold")
+        most = letters_in(figure.get_figwidth() / WIDER, "figure.titlesize")
+        figure.suptitle(in_lines(title, most), x=0.01, ha="left", weight="bold")

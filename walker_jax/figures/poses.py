@@ -64,7 +64,7 @@ def step(data: xr.Dataset) -> Figure:
     for name, colour in (("stance", INK), ("swing", SWING)):
         panels[-1].plot([], [], color=colour, lw=3, label=f"{name} leg")
     figure_legend(panels)
-    figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
+    figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)")
     return figure
 
 
