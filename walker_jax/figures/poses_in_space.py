@@ -46,6 +46,7 @@ def draw_in_space(
     )
     place = {name: pose[name].values for name in ("stance", "swing", "stance_hip", "swing_hip")}
     flat = lambda points: project(points, slope)[:, :2]
+    near = lambda points: float(project(points, slope)[:, 2].mean())
     below = (place["stance"] + place["swing"]) / 2 * [1, 1, 0]
     axle, turn = pose["axle"].values, np.linspace(0, 2 * np.pi, CORNERS)[:, None]
     first = np.cross(axle, [0.0, 0.0, 1.0])
@@ -56,19 +57,17 @@ def draw_in_space(
     rods.append((np.stack([place["stance_hip"], place["swing_hip"]]), GROUND))
     discs = [(place[one] + edge, colour) for one, colour in legs]
     shadows: list[Artist] = []
-    parts: dict[Artist, float] = {}  # with their distances to the eye
+    parts: dict[Artist, float] = {}  # with how near they are to the eye
     for points, colour in rods:
         shadow = flat(points * [1, 1, 0])
         shadows.append(Line2D(*shadow.T, color=SHADOW, lw=3, zorder=2))
         line = Line2D(*flat(points).T, color=colour, lw=4, solid_capstyle="round")
-        parts[line] = project(points, slope)[:, 2].mean()
+        parts[line] = near(points)
     for points, colour in discs:
         shadow = flat(points * [1, 1, 0])
         shadows.append(Polygon(shadow, fc=SHADOW, ec=SHADOW, lw=2, zorder=2))
         face = *(WHITE + (1 - WHITE) * np.array(to_rgb(colour))), 0.92
-        parts[Polygon(flat(points), fc=face, ec=colour, lw=1.6)] = project(points, slope)[
-            :, 2
-        ].mean()
+        parts[Polygon(flat(points), fc=face, ec=colour, lw=1.6)] = near(points)
     for order, part in enumerate(sorted(parts, key=parts.__getitem__), start=3):
         part.set_zorder(order)
     drawn = [ax.add_artist(one) for one in (*slope_around(below, slope, length), *shadows, *parts)]
