@@ -6,7 +6,7 @@ from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -63,8 +63,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
     stable, folds = data["stable"].values, data["event_fold"].values
-    subcritical = ~folds & (coefficients(data, "event") < 0)
-    supercritical = coefficients(data, "torus") < 0
+    subcritical = ~folds & has_negative_form(data, "event")
+    supercritical = has_negative_form(data, "torus")
     events = {"fold": folds, "period doubling": ~folds & ~subcritical}
     events["subcritical doubling"] = subcritical
     tori = {"Neimark-Sacker": ~supercritical, "supercritical Neimark-Sacker": supercritical}
@@ -207,9 +207,9 @@ def bifurcations(data: xr.Dataset) -> Figure:
     for ax, letter, (draw, title) in zip(axes, "abcdef", panels, strict=False):
         draw(data, ax, title=f"{letter}  {title}")
         if window is not None and title.endswith("of the cascade"):
-            ax.set_xlim(window[0])
+            ax.set(xlim=window[0])
             if draw is bifurcation_diagram:
-                ax.set_ylim(window[1])
+                ax.set(ylim=window[1])
                 ax.lines[0].set(markersize=0.8 * ax.lines[0].get_markersize(), alpha=0.5)
     for ax in axes[len(panels) :]:
         ax.remove()
@@ -252,11 +252,9 @@ def stability_and_area(
     return finish(ax, style, title, "SimplestWalker", x="slope", y=RADIUS, beside=[other])
 
 
-def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
-    """Return coefficients of normal forms; NaN in older data sets without them."""
-    if f"{name}_coefficient" in data:
-        return data[f"{name}_coefficient"].values
-    return np.full(len(data[f"{name}_value"]), np.nan)
+def has_negative_form(data: xr.Dataset, name: str) -> Bool[np.ndarray, " n"]:
+    """Return where coefficients of normal forms are negative; older data sets have none."""
+    return (data.get(f"{name}_coefficient", np.nan) + 0 * data[f"{name}_value"] < 0).values
 
 
 def draw_curve(
