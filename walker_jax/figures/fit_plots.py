@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from walker_jax.checks import WrongUse
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, new_panels
-from walker_jax.figures.regions import cell_edges, show_image
+from walker_jax.figures.regions import show_image
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.figures.text import walker_title
 from walker_jax.grids import Grid
@@ -101,9 +101,8 @@ def basin_band(
     if shares.ndim != 3 or shares.shape[1:] != tuple(grid.shape) or not len(shares):
         raise WrongUse(f"draws must be of shape (draws, {grid.shape}), not {shares.shape}")
     mean = shares.mean(axis=0)
-    x, y = map(np.asarray, grid.axes.values())
-    shown, extent = np.where(mean > 0, mean, np.nan), (*cell_edges(x), *cell_edges(y))
-    show_image(ax, shown, extent, cmap="Blues", vmin=0, vmax=1.4)
+    (x, y), cells = grid.axes.values(), xr.DataArray(mean, grid.axes, [*grid.axes])
+    show_image(ax, np.where(mean > 0, mean, np.nan), cells, cmap="Blues", vmin=0, vmax=1.4)
     for level, color in zip(LEVELS, (OTHERS, INK, OTHERS), strict=True):
         if mean.min() < level < mean.max():
             ax.contour(x, y, mean.T, [level], colors=[color], linewidths=0.8)

@@ -174,10 +174,9 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
     found, images = regions.paint_one_basin(data, fate, fate == ATTRACTED)
-    extent = regions.extent_of(data["fate_start"])
     names = results.free_parameters(data)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
-        regions.show_image(ax, image, extent)
+        regions.show_image(ax, image, data["fate_start"])
         values = text.parameter_values(dict(zip(names, data[side].values.tolist(), strict=True)))
         area, fixed = results.area_at(data, side), results.slice_coordinates(data)
         words = [text.area_phrase(data, area)] if area is not None and area > 0 else []

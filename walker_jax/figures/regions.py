@@ -17,8 +17,6 @@ from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import NO_BREAK, SYMBOLS, format_number
 from walker_jax.systems.outcomes import Outcome, failures_of, names_in
 
-Extent = tuple[float, float, float, float]
-"""Edges of a grid: left, right, low and high."""
 WRITTEN_COORDINATES = 3
 """Most coordinates of a state that a legend has room for."""
 BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"
@@ -92,17 +90,11 @@ def largest(data: xr.Dataset) -> list[int]:
     return large_basins(data, len(BASINS))
 
 
-def draw_regions(
-    ax: Axes, data: xr.Dataset, large: list[int] | None = None
-) -> tuple[list[Region], Extent]:
-    """Draw the regions of a data set over two dimensions, by default with its largest basins.
-
-    Returns them, and the edges of the grid.
-    """
+def draw_regions(ax: Axes, data: xr.Dataset, large: list[int] | None = None) -> list[Region]:
+    """Draw the regions of a plane, by default with its largest basins, and return them."""
     found = regions_of(data, largest(data) if large is None else large)
-    extent = extent_of(data["fate"])
-    show_image(ax, paint(found, data["fate"].shape), extent)
-    return found, extent
+    show_image(ax, paint(found, data["fate"].shape), data["fate"])
+    return found
 
 
 def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -111,14 +103,10 @@ def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return float(centres[0] - half), float(centres[-1] + half)
 
 
-def extent_of(cells: xr.DataArray) -> Extent:
-    """Return the outer edges of cells along their first two axes."""
+def show_image(ax: Axes, image: np.ndarray, cells: xr.DataArray, **look: Any) -> None:
+    """Draw an image of cells, the first of their axes along x, on all of the picture's axes."""
     x, y, *_ = cells.dims
-    return (*cell_edges(cells[x].values), *cell_edges(cells[y].values))
-
-
-def show_image(ax: Axes, image: np.ndarray, extent: Extent, **look: Any) -> None:
-    """Draw an image of cells, the first axis along x, on all of the axes."""
+    extent = *cell_edges(cells[x].values), *cell_edges(cells[y].values)
     look = {"interpolation": "auto", "rasterized": True} | look
     ax.imshow(image.swapaxes(0, 1), origin="lower", extent=extent, aspect="auto", **look)
     ax.set(xlim=extent[:2], ylim=extent[2:])
@@ -179,7 +167,7 @@ def counted_patch(region: Region, share: int) -> Patch:
     return patch_of(region, f"{region.words} ({about}{count:,}{NO_BREAK}cell{'s' * (count > 1)})")
 
 
-def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent: Extent) -> bool:
+def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"]) -> bool:
     """Write letter and words of a region where it is widest, or the letter alone, as there is room.
 
     `free` marks where labels may stand. Returns whether there was room for the words.
@@ -190,7 +178,6 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
     share = 0.8  # of the axes; the rest is for title and legend
     size = np.multiply(ax.bbox.size, share * 72 / figure_of(ax).dpi)
-    low, high = np.array(extent[::2]), np.array(extent[1::2])
     dark = np.dot(to_rgb(region.colour), (0.3, 0.59, 0.11)) < 0.5
     look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
     letter, words = (region.letter, style.LARGE, "bold"), (region.words, style.SMALL, "normal")
@@ -203,7 +190,8 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
         depth = depth[1:-1, 1:-1]
         if depth.max() >= 1:
             deepest = np.argwhere(depth == depth.max())
-            place = low + (deepest[len(deepest) // 2] + 0.5) / cells.shape * (high - low)
+            share_of_axes = (deepest[len(deepest) // 2] + 0.5) / cells.shape
+            place = ax.transLimits.inverted().transform(share_of_axes)
             sides = ("bottom", "top") if len(lines) == 2 else ("center",)
             for (text, font, weight), side in zip(lines, sides, strict=True):
                 ax.annotate(text, place.tolist(), va=side, size=font, weight=weight, **look)
@@ -211,10 +199,8 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
     return False
 
 
-def keep_clear(
-    free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"], extent: Extent
-) -> None:
+def keep_clear(ax: Axes, free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"]) -> None:
     """Mark in `free` that no label may stand on these dots."""
-    ends, (x, y) = np.reshape(extent, (2, 2)), (np.linspace(0, 1, n) for n in free.shape)
-    for across, up in (dots - ends[:, 0]) / np.ptp(ends, axis=1):
+    x, y = (np.linspace(0, 1, n) for n in free.shape)
+    for across, up in ax.transLimits.transform(dots):
         free[np.ix_(abs(x - across) < 0.03, abs(y - up) < 0.03)] = False

@@ -49,13 +49,12 @@ def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) 
     ax = begin(ax, style, data, "viability")
     data, place = middle_plane(data)
     kernel, actions = data["viable"].values, data.sizes["action_number"]
-    extent = regions.extent_of(data["viable"])
     failing = regions.with_failures([], data, data["failure"].values)
     image = regions.paint(failing, kernel.shape)
     share = data["safe_actions"].values / actions
     scale = ScalarMappable(Normalize(0, max(share.max(), 1 / actions)), SHARES)
     image[kernel] = scale.to_rgba(share[kernel], bytes=True)[:, :3]
-    regions.show_image(ax, image, extent)
+    regions.show_image(ax, image, data["viable"])
     drawn = {"target": data["capture"].values == 0}
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
     for name, cells in drawn.items():
@@ -86,13 +85,13 @@ def capturability(
     ax = begin(ax, style, data, "viability")
     plane, place = middle_plane(data)
     around = checked_basins(data, {} if basins is None else basins)
-    extent, (x, y) = regions.extent_of(plane["viable"]), map(str, plane["viable"].dims)
+    x, y = map(str, plane["viable"].dims)
     found = [
         regions.Region(cells, colour, "", words)
         for cells, colour, words in zip(capture_sets(plane), COLOURS, set_names(data), strict=True)
         if words
     ]
-    regions.show_image(ax, regions.paint(found, plane["viable"].shape), extent)
+    regions.show_image(ax, regions.paint(found, plane["viable"].shape), plane["viable"])
     for (words, basin), look in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
         named = f"{words}: {total_area(basin):.3g}", *look

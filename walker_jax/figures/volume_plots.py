@@ -47,8 +47,7 @@ def volume(data: xr.Dataset) -> Figure:
         ax, depth = figure.add_subplot(2, 2, panel), names[hidden]
         depths = data[depth].values
         plane = slice_basin(data, depth, float(np.clip(centre[hidden], depths[0], depths[-1])))
-        found, _ = regions.draw_regions(ax, plane, large)
-        patches += map(regions.patch_of, found)
+        patches += map(regions.patch_of, regions.draw_regions(ax, plane, large))
         for dots, marker, name in attractors:
             regions.mark_attractor(ax, dots[:, shown], marker, name)
         ax.set(xlim=window[shown[0]], ylim=window[shown[1]])
