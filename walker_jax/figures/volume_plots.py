@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from walker_jax.basins.cell_classes import has_known_units
-from walker_jax.basins.volumes import slice_basin
+from walker_jax.basins.volumes import runs_of, slice_basin
 from walker_jax.figures import layout, regions, text
 from walker_jax.figures.style import BASINS, OTHERS, TITLE
 from walker_jax.storage.schema import check_dataset
@@ -37,7 +37,7 @@ def volume(data: xr.Dataset) -> Figure:
     check_dataset(data, "refined volume")
     sizes, names = data["cells"].values, tuple(data["axis"].values.tolist())
     large = [i for i in np.argsort(-sizes, kind="stable")[: len(BASINS)].tolist() if sizes[i] > 0]
-    cells = attractors_of(data)
+    cells = runs_of(data).spread(data["run_attractor"].values)
     window = window_of(data, cells)
     attractors = [*regions.attractors(data, large, names)]
     centre = attractors[0][0][0] if attractors else window.mean(axis=1)
@@ -63,13 +63,6 @@ def volume(data: xr.Dataset) -> Figure:
     note = f"direct iteration, refined, on {shape} cells; basin volume {size}{unit}"
     layout.figure_legend(panels, patches, note)
     return figure
-
-
-def attractors_of(data: xr.Dataset) -> np.ndarray:
-    """Return the attractor of every cell, -1 for none."""
-    shape = [data.sizes[name] for name in data["axis"].values.tolist()]
-    lengths = np.diff(data["first_cell"].values, append=np.prod(shape))
-    return np.repeat(data["run_attractor"].values, lengths).reshape(shape)
 
 
 def window_of(data: xr.Dataset, cells: np.ndarray) -> Float[np.ndarray, "axis end"]:
