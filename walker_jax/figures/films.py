@@ -52,7 +52,7 @@ def film(
     **Arguments:**
 
     - `walk`: what `walker_jax.motion` returns. Each of its frames is shown for 1/20 s. A walk in
-      space is shown from the side, from the front and from above.
+      space is shown in parallel projection, from its right, ahead and above.
     - `path`: of the file, .gif, or .mp4, which needs the program ffmpeg.
     - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
       walker alone.
