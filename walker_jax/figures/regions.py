@@ -182,7 +182,7 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"]) -> boo
     look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
     letter, words = (region.letter, style.LARGE, "bold"), (region.words, style.SMALL, "normal")
     for lines in ([letter, words], [letter]) if region.letter else ([words],):
-        wide = max(LETTER * style.points_of(font) * len(words) for words, font, _ in lines)
+        wide = max(LETTER * style.points_of(font) * len(text) for text, font, _ in lines)
         tall = sum(1.2 * style.points_of(font) for _, font, _ in lines)
         # The ellipse within the box of the words fits where its centre is deeper than 1.
         steps = 2 * size / np.array((wide, tall)) / cells.shape
