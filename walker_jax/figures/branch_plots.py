@@ -247,9 +247,10 @@ def stability_and_area(
         refined = slopes[known], areas["area"].values[known]
         other.plot(*refined, "-o", color=BASINS[0], ms=3, label=label)
     other.set_ylim(0)
-    other.set_ylabel(AREA_LABEL, color=BASINS[0])
-    title = "Stability of the gait, and area of its basin"
-    return finish(ax, style, title, "SimplestWalker", x="slope", y=RADIUS, beside=[other])
+    other.set_ylabel(AREA_LABEL * style.get("labels", True), color=BASINS[0])
+    signs, _ = other.get_legend_handles_labels()
+    title, x = "Stability of the gait, and area of its basin", "slope"
+    return finish(ax, style, title, "SimplestWalker", x=x, y=RADIUS, legend=signs)
 
 
 def has_negative_form(data: xr.Dataset, name: str) -> Bool[np.ndarray, " n"]:

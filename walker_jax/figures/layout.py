@@ -202,24 +202,21 @@ def finish(
     y: str,
     legend: Iterable[Artist] = (),
     bar: tuple[ScalarMappable, str] | None = None,
-    beside: Sequence[Axes] = (),
 ) -> DrawnAxes:
     """Write title and note above axes, their names, and a legend below. Returns the axes.
 
     The legend has what is labelled on the axes, and then the given signs. `bar` has the colours of
-    a bar beside the axes and its name; `beside` are other axes that share the height.
+    a bar beside the axes and its name.
     """
+    labels = style.get("labels", True)
     if bar is not None:
-        colours, words = bar
-        beside = [*beside, figure_of(ax).colorbar(colours, ax=ax, label=words).ax]
+        figure_of(ax).colorbar(bar[0], ax=ax, label=bar[1] * labels)
     printed = page_width.get() is not None
     for line in ax.lines if printed else ():
         for size in ("markersize", "linewidth", "markeredgewidth"):
             line.set(**{size: SMALLER * getattr(line, f"get_{size}")()})
-    if style.get("labels", True):
+    if labels:
         name_axes(ax, x, y)
-    for one in beside:
-        one.set_ylabel(one.get_ylabel() if style.get("labels", True) else "")
     narrow = float(ax.bbox.width / figure_of(ax).dpi)  # as wide as bold letters need
     wide = WIDER * narrow
     title = chosen_title(style, title)
@@ -228,8 +225,7 @@ def finish(
         write_beside(ax, note, (0, 1), (0, GAP), xycoords="axes fraction", fontsize=NOTE)
     pad = GAP + 1.45 * points_of(NOTE) * len(note.splitlines()) if note else None
     ax.set_title(in_lines(title, letters_in(narrow, "axes.titlesize")), pad=pad, **TITLE)
-    labelled = (each.get_legend_handles_labels()[0] for each in (ax, *beside))
-    handles = [*chain(*labelled), *legend]
+    handles = [*ax.get_legend_handles_labels()[0], *legend]
     if style.get("legend", True) and handles:
         drop = 13 + 2.4 * points_of("font.size")  # height of the axes' names and numbers
         below = offset_copy(ax.transAxes, figure_of(ax), y=-drop, units="points")
