@@ -248,6 +248,8 @@ def test_the_target_need_not_be_viable():
     data = VIABLE.assign(capture=xr.where(FATE == 1, 0, -1))
     names = legend(figures.capturability(data))
     assert names == ["target: 0.25", "viable: 0.25", "bound to fail"]
+    everywhere = figures.viability(VIABLE.assign(capture=0 * FATE))
+    assert "target" in legend(everywhere) and "inner bound" in legend(everywhere)
 
 
 def test_the_law_of_a_crisis_is_a_line_in_logarithms():

@@ -161,7 +161,8 @@ def draw_boundary(
     if not cells.any():
         return
     look: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
-    ax.contour(*(data[one] for one in data["viable"].dims), cells.T, levels=[0.5], **look)
+    if not cells.all():
+        ax.contour(*(data[one] for one in data["viable"].dims), cells.T, levels=[0.5], **look)
     on_white = "0.6" if colour == "white" else colour
     ax.plot([], [], label=words, color=on_white, lw=width, ls=kind)
 
