@@ -73,6 +73,11 @@ def read_dataset(path: Path) -> xarray.Dataset:
         data = xarray.open_zarr(store, consolidated=False, chunks=None)
     own = damage.CHECKSUMS, damage.VERSION
     data.attrs = {name: one for name, one in data.attrs.items() if name not in own}
-    for array in arrays.values() if complete else ():
-        damage.check_chunks(path, array)
-    return data.load() if complete and data.nbytes <= LAZY_FROM_BYTES else data
+    if complete and data.nbytes > LAZY_FROM_BYTES:
+        for array in arrays.values():
+            damage.check_chunks(path, array)
+    elif complete:
+        for name, variable in data.variables.items():
+            with name_damage(path, str(name)):
+                variable.load()
+    return data
