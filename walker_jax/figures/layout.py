@@ -180,7 +180,7 @@ def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any)
     if x is not None:
         ax.set_xlabel(axis_label(x), **look)
     if y is not None:
-        high = ax.bbox.height / figure_of(ax).dpi / WIDER  # a legend leaves less
+        high = 0.9 * ax.bbox.height / figure_of(ax).dpi  # a legend leaves less
         ax.set_ylabel(in_lines(axis_label(y), letters_in(high, "axes.labelsize")), **look)
 
 
