@@ -32,15 +32,15 @@ def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     ax = begin(ax, style, data, "basin")
     check_plane(data["fate"])
     large, axes = regions.largest(data), regions.axes_of(data)
-    found, extent = regions.draw_regions(ax, data, large)
+    found = regions.draw_regions(ax, data, large)
     free, share, patches = np.ones(data["fate"].shape, bool), share_drawn(data), []
     for dots, marker, name in regions.attractors(data, large):
-        inside = (dots >= extent[::2]) & (dots <= extent[1::2])
-        where = "" if inside.all(axis=1).any() else " (outside the picture)"
+        inside = any(ax.viewLim.contains(*dot) for dot in dots)
+        where = "" if inside else " (outside the picture)"
         regions.mark_attractor(ax, dots, marker, name + where)
-        regions.keep_clear(free, dots, extent)
+        regions.keep_clear(ax, free, dots)
     for region in found:
-        named = style.get("labels", True) and regions.draw_label(ax, region, free, extent)
+        named = style.get("labels", True) and regions.draw_label(ax, region, free)
         if not named or region.counted:
             patches.append(regions.counted_patch(region, share))
     if "origin" in data.attrs:
@@ -98,16 +98,16 @@ def basin_slices(data: xr.Dataset) -> Figure:
         )
     x, y, z = regions.axes_of(data)
     depths = data[z].values
-    chosen = evenly_spaced(len(depths), PANELS)
+    chosen = np.linspace(0, len(depths), 2 * min(len(depths), PANELS) + 1)[1::2].astype(int)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     size = 3.1 * columns + 0.6, 2.7 * rows + 1.5
     figure, panels = new_panels(*size, rows, columns, sharex=True, sharey=True)
     large = regions.largest(data)
     found = regions.regions_of(data, large)
-    image, extent = regions.paint(found, fate.shape), regions.extent_of(fate)
+    image = regions.paint(found, fate.shape)
     for ax, index in zip(panels, chosen, strict=False):
-        regions.show_image(ax, image[:, :, index], extent)
+        regions.show_image(ax, image[:, :, index], fate)
         ax.set_title(text.coordinate_value(z, float(depths[index])), fontsize="medium")
     for dots, marker, name in regions.attractors(data, large):
         for place in dots:
@@ -130,11 +130,11 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     slopes, (_, x, y) = data["slope"].values.tolist(), regions.axes_of(data)
     rows = -(-len(slopes) // 3)
     figure, panels = new_panels(10, 3 * rows + 0.9, rows, 3, sharex=True, sharey=True)
-    fate, extent = data["fate"].values, regions.extent_of(data["fate"][0])
-    found, images = regions.paint_one_basin(data, fate, data["attractor"].values >= 0)
+    basin = data["attractor"].values >= 0
+    found, images = regions.paint_one_basin(data, data["fate"].values, basin)
     areas = data["area"].values.tolist()
     for ax, slope, cells, area in zip(panels, slopes, images, areas, strict=False):
-        regions.show_image(ax, cells, extent)
+        regions.show_image(ax, cells, data["fate"][0])
         ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
         note = text.area_phrase(data, area) if area > 0 else "no basin of attraction"
         layout.write_beside(ax, note, (0, 1), (0, 5), xycoords="axes fraction")
@@ -171,10 +171,3 @@ def middle_of(data: xr.Dataset, axis: str) -> float:
 def share_drawn(data: xr.Dataset) -> int:
     """Return the number of cells of the whole basin that each cell of the data stands for."""
     return int(data.attrs.get("thinned", 1))
-
-
-def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Return at most `most` equally spaced indices, without the ends; all, if so few."""
-    if count <= most:
-        return np.arange(count)
-    return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))

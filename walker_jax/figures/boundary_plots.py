@@ -38,7 +38,7 @@ def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -
     """
     ax = begin(ax, style, data, "boundary", 7, 6.2)
     check_plane(data["fate"])
-    (x, y), (found, _) = regions.axes_of(data), regions.draw_regions(ax, data)
+    (x, y), found = regions.axes_of(data), regions.draw_regions(ax, data)
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)

@@ -6,7 +6,7 @@ from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -42,6 +42,8 @@ HIGHEST = 2
 """Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
 """Lines of unstable gaits of long periods, of which there are many."""
+LEAST = 1e-3
+"""Least margin around the states of a cascade, which may be one state alone."""
 DEEPEST = 4.0
 """Depth below zero of the lowest exponent that is drawn, in units of the highest, or of a half if
 that is larger: at a superstable gait the lowest exponents have no bound."""
@@ -61,8 +63,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
     stable, folds = data["stable"].values, data["event_fold"].values
-    subcritical = ~folds & (coefficients(data, "event") < 0)
-    supercritical = coefficients(data, "torus") < 0
+    subcritical = ~folds & has_negative_form(data, "event")
+    supercritical = has_negative_form(data, "torus")
     events = {"fold": folds, "period doubling": ~folds & ~subcritical}
     events["subcritical doubling"] = subcritical
     tori = {"Neimark-Sacker": ~supercritical, "supercritical Neimark-Sacker": supercritical}
@@ -77,7 +79,6 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     ]
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
     counts["Neimark-Sacker point"] = len(supercritical)
-    set_range(ax, data)
     if style.get("labels", True):
         write_step_times(ax, data)
     note = ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n)
@@ -88,7 +89,11 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
 def over_parameter(
     ax: Axes, style: Style, data: xr.Dataset, subject: str, note: str, **words: Any
 ) -> DrawnAxes:
-    """Finish a picture over the parameter of a data set, under the walker's name and a subject."""
+    """Finish a picture over the range of a parameter, under the walker's name and a subject."""
+    samples = data["sample_value"].values if "sample_value" in data else []
+    values = np.concatenate([data["value"].values, samples])
+    if len(values) and np.ptp(values) > 0:
+        ax.set_xlim(values.min(), values.max())
     title = f"{walker_title(data)}: {subject}"
     ax.locator_params(axis="x", nbins=6)
     return finish(ax, style, title, note, x=str(data.attrs["parameter"]), **words)
@@ -115,7 +120,6 @@ def largest_multiplier(
         if len(values):
             where = " and ".join(f"{value:.5f}" for value in values)
             handle.set_label(f"{handle.get_label()}, doubles at {where}")
-    set_range(ax, data)
     ax.set_ylim(0, HIGHEST)
     at = ax.get_yaxis_transform()
     for words, rise, side in (("unstable", 3, "bottom"), ("stable", -4, "top")):
@@ -144,7 +148,6 @@ def bifurcation_diagram(
     ax.plot([], [], "o", color=BASINS[0], ms=3, label="attractor")
     for curve in curves.cascade_curves(data)[:1]:
         draw_curve(ax, curve, curve.states, stable=False, label="unstable gait")
-    set_range(ax, data)
     lost, note = curves.loss_of_attractor(data), ""
     if np.isfinite(lost):
         ax.axvline(lost, color=LOSS, lw=1, zorder=3, label="walking is lost")
@@ -178,7 +181,6 @@ def lyapunov_exponents(
         top = max(float(known.max()), 0.05)
         deepest = min(float(known.min()), 0.0)
         ax.set_ylim(max(deepest, -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
-        set_range(ax, data)
     note = "none is above zero"
     if len(positive := value[found[:, 0] > 2 * errors[:, 0]]):
         note = f"the first is above zero from {positive[0]:.5f}"
@@ -205,9 +207,9 @@ def bifurcations(data: xr.Dataset) -> Figure:
     for ax, letter, (draw, title) in zip(axes, "abcdef", panels, strict=False):
         draw(data, ax, title=f"{letter}  {title}")
         if window is not None and title.endswith("of the cascade"):
-            ax.set_xlim(window[:2])
+            ax.set(xlim=window[0])
             if draw is bifurcation_diagram:
-                ax.set_ylim(window[2:])
+                ax.set(ylim=window[1])
                 ax.lines[0].set(markersize=0.8 * ax.lines[0].get_markersize(), alpha=0.5)
     for ax in axes[len(panels) :]:
         ax.remove()
@@ -245,16 +247,15 @@ def stability_and_area(
         refined = slopes[known], areas["area"].values[known]
         other.plot(*refined, "-o", color=BASINS[0], ms=3, label=label)
     other.set_ylim(0)
-    other.set_ylabel(AREA_LABEL, color=BASINS[0])
-    title = "Stability of the gait, and area of its basin"
-    return finish(ax, style, title, "SimplestWalker", x="slope", y=RADIUS, beside=[other])
+    other.set_ylabel(AREA_LABEL * style.get("labels", True), color=BASINS[0])
+    signs, _ = other.get_legend_handles_labels()
+    title, x = "Stability of the gait, and area of its basin", "slope"
+    return finish(ax, style, title, "SimplestWalker", x=x, y=RADIUS, legend=signs)
 
 
-def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
-    """Return coefficients of normal forms; NaN in older data sets without them."""
-    if f"{name}_coefficient" in data:
-        return data[f"{name}_coefficient"].values
-    return np.full(len(data[f"{name}_value"]), np.nan)
+def has_negative_form(data: xr.Dataset, name: str) -> Bool[np.ndarray, " n"]:
+    """Return where coefficients of normal forms are negative; older data sets have none."""
+    return (data.get(f"{name}_coefficient", np.nan) + 0 * data[f"{name}_value"] < 0).values
 
 
 def draw_curve(
@@ -301,18 +302,17 @@ def draw_events(ax: Axes, data: xr.Dataset, name: str, kinds: dict[str, np.ndarr
             draw_event(ax, *phases, int(periods[i]), kind)
 
 
-def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
-    """Return limits of the picture around the states of the cascade; None without a cascade."""
+def cascade_window(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return limits of both axes around the states of the cascade; None without a cascade."""
     interval = curves.cascade_interval(data)
     if interval is None:
         return None
-    low, high = layout.widened(np.array(interval), 0.05).tolist()
+    low, high = across = layout.widened(np.array(interval), 0.05)
     value, state = curves.attractor_states(data)
     inside = state[(value >= low) & (value <= high)]
     if len(inside) == 0:
         return None
-    room = 0.05 * float(np.ptp(inside)) or 0.05
-    return low, high, float(inside.min()) - room, float(inside.max()) + room
+    return across, layout.widened(np.array([inside.min(), inside.max()]), 0.05, LEAST)
 
 
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
@@ -339,14 +339,6 @@ def places_near(
     away = gap * np.arange(len(heights))
     nearest = isotonic_regression(heights - away).x
     return np.clip(nearest, low + gap / 2, high - gap / 2 - away.max()) + away
-
-
-def set_range(ax: Axes, data: xr.Dataset) -> None:
-    """Set the x limits to the range of the parameter."""
-    samples = data["sample_value"].values if "sample_value" in data else []
-    values = np.concatenate([data["value"].values, samples])
-    if len(values) and np.ptp(values) > 0:
-        ax.set_xlim(values.min(), values.max())
 
 
 def period_lines(drawn: list[Curve]) -> dict[int, Line2D]:

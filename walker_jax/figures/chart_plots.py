@@ -87,15 +87,15 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     found = [
         regions.Region(cells, colour, "", words) for words, colour, cells in kinds if cells.any()
     ]
-    image, extent = regions.paint(found, fate.shape), regions.extent_of(data["cell_fate"])
+    image = regions.paint(found, fate.shape)
     image[without] = 255
-    regions.show_image(ax, image, extent, interpolation="nearest", zorder=1)
+    regions.show_image(ax, image, data["cell_fate"], interpolation="nearest", zorder=1)
     handles = [*map(regions.patch_of, found)]
     if without.any():
         shown = np.ma.masked_where(~without.T, np.ones(without.T.shape))
         look: Any = {"hatch": EMPTY["hatch"], "edgecolors": EMPTY["edgecolor"], "linewidth": 0}
-        look["cmap"] = ListedColormap([EMPTY["facecolor"]])
-        ax.pcolor(*regions.corners_of(extent, fate.shape), shown, zorder=2, **look)
+        look |= {"cmap": ListedColormap([EMPTY["facecolor"]]), "shading": "nearest"}
+        ax.pcolor(*(data[one] for one in data["cell_fate"].dims), shown, zorder=2, **look)
         handles.append(Patch(**EMPTY, lw=0.5, label="no gait"))
     return handles
 

@@ -70,7 +70,7 @@ def probable_fall(
         about = {"walker": type(walker).__name__} | attributes_of(walker)
         subtitle = lines if style.get("subtitle", True) else []
         lines = [walker_title(xr.Dataset(attrs=about)), *subtitle]
-    layout.figure_title(figure, "\n".join(lines), "large", style)
+    layout.figure_title(figure, "\n".join(lines), style)
     return figure
 
 
@@ -135,7 +135,7 @@ def draw_law(ax: Axes, fall: ProbableFall, style: Style) -> None:
     rare, law = exponent[shown], np.exp(exponent[shown])
     ax.semilogy(rare, means[shown], color=BASINS[0], label="mean strides to a fall")
     ax.semilogy(rare, law, "--", lw=1, color=OTHERS, label="exp(action / scale$^2$)")
-    above = ax.secondary_xaxis("top", functions=(lambda e: e, lambda e: e))
+    above = ax.secondary_xaxis("top")
     ticks = exponent[:: len(exponent) // 4]
     above.set_xticks(ticks, [f"{np.sqrt(fall.action / one):.2g}" for one in ticks])
     above.set_xlabel("scale of the deviations" * style.get("labels", True))

@@ -52,7 +52,7 @@ def film(
     **Arguments:**
 
     - `walk`: what `walker_jax.motion` returns. Each of its frames is shown for 1/20 s. A walk in
-      space is shown from the side, from the front and from above.
+      space is shown in parallel projection, from its right, ahead and above.
     - `path`: of the file, .gif, or .mp4, which needs the program ffmpeg.
     - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
       walker alone.
@@ -76,7 +76,7 @@ def film(
     if data is not None:
         starts = place_states(data, walk["states"].values)
         lines = trajectory_lines(basin(data, beside[0], title=False))
-    figure_title(figure, walker_title(walk), "medium" if data is None else "large")
+    figure_title(figure, walker_title(walk))
     stage.set_axis_off()
     stage.set(xlim=(0, 1.5), ylim=(0, 1.3), aspect="equal")  # for the layout
     heading = stage.set_title("stride 1, time 0.0", size="medium", **TITLE)
@@ -143,7 +143,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     ax.set(xticks=[], yticks=[])
     x, y = map(str, data["fate"].dims[1:])
     name_axes(ax, x, y)
-    figure_title(figure, walker_title(data), "large")
+    figure_title(figure, walker_title(data))
     figure_legend([ax], map(patch_of, regions))
     heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize="medium")
     fix_layout(figure)

@@ -8,11 +8,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, begin, finish, new_panels
-from walker_jax.figures.regions import cell_edges, show_image
+from walker_jax.figures.regions import show_image
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.figures.text import walker_title
 from walker_jax.grids import Grid
@@ -33,38 +32,35 @@ def fit(data: xr.Dataset) -> Figure:
 def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw recorded and fitted coordinates over the time since heel strike, all steps in one."""
     ax = begin(ax, style, data, "fit", 6, 5)
-    handles, after = draw_columns(ax, data, "recorded")
+    after = draw_columns(ax, data, "recorded")
     for k in range(data.sizes["column"]):
         lines = ax.plot(after.T, data["fitted"].values[..., k].T, lw=0.6, color=INK)
     lines[0].set_label("fitted")
     note = f"{data.sizes['step']} steps, recorded and fitted"
-    return finish(ax, style, walker_title(data), note, x=SINCE, y="coordinates", legend=handles)
+    return finish(ax, style, walker_title(data), note, x=SINCE, y="coordinates")
 
 
 def fit_residuals(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw recorded less fitted coordinates, in standard deviations of their noise."""
     ax = begin(ax, style, data, "fit", 6, 5)
-    handles, _ = draw_columns(ax, data, "residual")
+    draw_columns(ax, data, "residual")
     ax.axhline(0, lw=0.6, color=INK)
     squares, free = data.attrs["sum_of_squares"], data.attrs["degrees_of_freedom"]
     note, y = f"sum of squares {squares:.4g}, {free} degrees of freedom", "residual over the noise"
-    return finish(ax, style, "Residuals", note, x=SINCE, y=y, legend=handles)
+    return finish(ax, style, "Residuals", note, x=SINCE, y=y)
 
 
-def draw_columns(
-    ax: Axes, data: xr.Dataset, name: str
-) -> tuple[list[Line2D], Float[np.ndarray, "steps samples"]]:
+def draw_columns(ax: Axes, data: xr.Dataset, name: str) -> Float[np.ndarray, "steps samples"]:
     """Draw a variable of all samples as dots, in a colour for each column.
 
-    Returns signs of the dots for the legend, and the times of the samples since heel strike.
+    Returns the times of the samples since heel strike.
     """
     after = (data["time"] - data["begin"]).transpose("step", "sample").values
-    handles = []
     for k, column in enumerate(data["column"].values):
         colour = BASINS[k % len(BASINS)]
         ax.plot(after.ravel(), data[name].values[..., k].ravel(), "o", ms=2, color=colour)
-        handles.append(Line2D([], [], marker="o", ms=5, ls="", color=colour, label=str(column)))
-    return handles, after
+        ax.plot([], [], "o", ms=5, color=colour, label=str(column))
+    return after
 
 
 def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
@@ -105,9 +101,8 @@ def basin_band(
     if shares.ndim != 3 or shares.shape[1:] != tuple(grid.shape) or not len(shares):
         raise WrongUse(f"draws must be of shape (draws, {grid.shape}), not {shares.shape}")
     mean = shares.mean(axis=0)
-    x, y = map(np.asarray, grid.axes.values())
-    shown, extent = np.where(mean > 0, mean, np.nan), (*cell_edges(x), *cell_edges(y))
-    show_image(ax, shown, extent, cmap="Blues", vmin=0, vmax=1.4)
+    (x, y), cells = grid.axes.values(), xr.DataArray(mean, grid.axes, [*grid.axes])
+    show_image(ax, np.where(mean > 0, mean, np.nan), cells, cmap="Blues", vmin=0, vmax=1.4)
     for level, color in zip(LEVELS, (OTHERS, INK, OTHERS), strict=True):
         if mean.min() < level < mean.max():
             ax.contour(x, y, mean.T, [level], colors=[color], linewidths=0.8)

@@ -6,21 +6,20 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import chain
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 from jaxtyping import Float
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cbook import is_math_text
 from matplotlib.cm import ScalarMappable
 from matplotlib.container import Container
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch
-from matplotlib.textpath import text_to_path
 from matplotlib.transforms import offset_copy
 
 from walker_jax.checks import WrongUse, check_number
@@ -31,15 +30,12 @@ from walker_jax.storage.schema import check_dataset
 GAP = 7
 """Gap between the axes and the text above them (points)."""
 WIDER = 1.15
-"""Factor by which a layout enlarges axes, at least."""
-SIGN = 4.8
-"""Width of a sign of a legend, with the gaps around it, in sizes of the text."""
-MOST_COLUMNS = 6
-"""Most columns of a legend."""
-MANY = 4
-"""Width (inches) from which a legend of more than five lines has two columns."""
-WORD = re.compile(r" *(?:\$[^$]*\$|[^ ])+")
-"""A word of a text, after spaces; a formula is part of one."""
+"""Factor by which a layout enlarges axes, at least, and by which bold letters are wider."""
+LETTER, SIGN = 0.52, 9
+"""Mean width of a letter, in sizes of the text; of a sign of a legend with its gaps, in letters."""
+MANY = 65
+"""Width (letters) from which a legend of more than five signs has two columns."""
+FORMULA = re.compile(r"\$[^$]*\$")
 SMALLER = 0.6
 """Factor on lines and signs in print, the same as for text of 8 points against a screen's."""
 page_width: ContextVar[float | None] = ContextVar("page_width", default=None)
@@ -158,7 +154,9 @@ def figure_of(ax: Axes) -> Figure:
     return cast(Figure, ax.get_figure(root=True))
 
 
-def widened(ends: Float[np.ndarray, "*axes 2"], share: float, least: float = 0.0) -> np.ndarray:
+def widened(
+    ends: Float[np.ndarray, "*axes 2"], share: float, least: Float[ArrayLike, "..."] = 0.0
+) -> np.ndarray:
     """Return the ends of ranges, moved outwards by a share of their widths, or by the least."""
     beyond = np.maximum(share * np.ptp(ends, axis=-1, keepdims=True), least)
     return ends + beyond * [-1, 1]
@@ -182,18 +180,16 @@ def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any)
     if x is not None:
         ax.set_xlabel(axis_label(x), **look)
     if y is not None:
-        high = ax.bbox.height / figure_of(ax).dpi
-        ax.set_ylabel(in_lines(axis_label(y), high, "axes.labelsize"), **look)
+        high = 0.9 * ax.bbox.height / figure_of(ax).dpi  # a legend leaves less
+        ax.set_ylabel(in_lines(axis_label(y), letters_in(high, "axes.labelsize")), **look)
 
 
 def name_outer_axes(panels: Sequence[Axes], used: int, x: str, y: str) -> None:
     """Name the axes at the left and below of rows of panels, and hide the last, unused ones."""
-    for ax in panels[used:]:
-        ax.set_visible(False)
-    for ax in panels:
-        place: Any = ax.get_subplotspec()
-        below, left = place.is_last_row(), place.is_first_col()
-        name_axes(ax, x if below else None, y if left else None, size=SMALL)
+    for k, ax in enumerate(panels):
+        ax.set_visible(k < used)
+        name_axes(ax, x, y, size=SMALL)
+        ax.label_outer()
 
 
 def finish(
@@ -206,101 +202,84 @@ def finish(
     y: str,
     legend: Iterable[Artist] = (),
     bar: tuple[ScalarMappable, str] | None = None,
-    beside: Sequence[Axes] = (),
 ) -> DrawnAxes:
     """Write title and note above axes, their names, and a legend below. Returns the axes.
 
     The legend has what is labelled on the axes, and then the given signs. `bar` has the colours of
-    a bar beside the axes and its name; `beside` are other axes that share the height.
+    a bar beside the axes and its name.
     """
+    labels = style.get("labels", True)
     if bar is not None:
-        colours, words = bar
-        beside = [*beside, figure_of(ax).colorbar(colours, ax=ax, label=words).ax]
+        figure_of(ax).colorbar(bar[0], ax=ax, label=bar[1] * labels)
     printed = page_width.get() is not None
     for line in ax.lines if printed else ():
         for size in ("markersize", "linewidth", "markeredgewidth"):
             line.set(**{size: SMALLER * getattr(line, f"get_{size}")()})
-    if style.get("labels", True):
+    if labels:
         name_axes(ax, x, y)
-    for one in beside:
-        one.set_ylabel(one.get_ylabel() if style.get("labels", True) else "")
-    wide = float(WIDER * ax.bbox.width / figure_of(ax).dpi)
+    narrow = float(ax.bbox.width / figure_of(ax).dpi)  # as wide as bold letters need
+    wide = WIDER * narrow
     title = chosen_title(style, title)
-    note = in_lines(note, wide, NOTE) if style.get("subtitle", not printed) else ""
+    note = in_lines(note, letters_in(wide, NOTE)) if style.get("subtitle", not printed) else ""
     if note:
         write_beside(ax, note, (0, 1), (0, GAP), xycoords="axes fraction", fontsize=NOTE)
     pad = GAP + 1.45 * points_of(NOTE) * len(note.splitlines()) if note else None
-    ax.set_title(in_lines(title, wide, "axes.titlesize", "bold"), pad=pad, **TITLE)
-    labelled = (each.get_legend_handles_labels()[0] for each in (ax, *beside))
-    handles = [*chain(*labelled), *legend]
+    ax.set_title(in_lines(title, letters_in(narrow, "axes.titlesize")), pad=pad, **TITLE)
+    handles = [*ax.get_legend_handles_labels()[0], *legend]
     if style.get("legend", True) and handles:
         drop = 13 + 2.4 * points_of("font.size")  # height of the axes' names and numbers
         below = offset_copy(ax.transAxes, figure_of(ax), y=-drop, units="points")
         place: Any = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": below}
-        ax.legend(**in_columns(handles, wide), **place, frameon=False, borderpad=0, borderaxespad=0)
+        look = in_columns(handles, letters_in(wide, "legend.fontsize")) | place
+        ax.legend(**look, frameon=False, borderpad=0, borderaxespad=0)
     return cast(DrawnAxes, ax)
 
 
-def width_of(text: str, size: str, weight: Any = "normal") -> float:
-    """Return the width of a line of text in inches, in one of the sizes of `points_of`."""
-    font = FontProperties(size=points_of(size), weight=weight)
-    return text_to_path.get_text_width_height_descent(text, font, is_math_text(text))[0] / 72
+def letters_in(inches: float, size: str) -> int:
+    """Return how many letters of one of the sizes of `points_of` stand side by side."""
+    return int(72 * inches / (LETTER * points_of(size)))
 
 
-def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str:
-    """Break a text into lines of a width: none within a formula, nor within a phrase that fits.
+def in_lines(text: str, letters: int) -> str:
+    """Break a text into lines of so many letters: none in a formula, which counts as a letter.
 
     Matplotlib's own `wrap` fills the whole figure, over other axes, and does nothing in notebooks,
     which save with `bbox_inches="tight"`.
     """
-    fits = lambda line: width_of(line, size, weight) <= inches
-    broken = lambda phrase: phrase if fits(phrase.strip()) else phrase.replace(NO_BREAK, " ")
-    lines = []
-    for paragraph in text.split("\n"):
-        lines.append("")
-        for word in WORD.findall("".join(map(broken, WORD.findall(paragraph)))):
-            if lines[-1] and not fits(lines[-1] + word):
-                lines.append("")
-            lines[-1] += word if lines[-1] else word.strip(" ")
-    return "\n".join(lines).replace(NO_BREAK, " ")
+    formulas = iter(FORMULA.findall(text))
+    wrap = TextWrapper(max(1, letters), break_long_words=False, break_on_hyphens=False)
+    lines = "\n".join(map(wrap.fill, FORMULA.sub("\0", text).split("\n")))
+    return re.sub("\0", lambda _: next(formulas), lines).replace(NO_BREAK, " ")
 
 
-def in_columns(handles: Sequence[Artist | Container], inches: float) -> dict[str, Any]:
+def in_columns(handles: Sequence[Artist | Container], letters: int) -> dict[str, Any]:
     """Return signs, labels and number of columns of a legend of a width; break longer labels.
 
-    A legend of many lines has two columns at least.
+    Labels of a long legend leave room for two columns.
     """
-    size, labels = "legend.fontsize", [str(one.get_label()) for one in handles]
-    sign = SIGN * points_of(size) / 72
-    widths = [sign + width_of(one, size) for one in labels]
-    least, most = 1 + (len(handles) > 5 and inches > MANY), min(len(handles), MOST_COLUMNS)
-    # Their labels are in columns as a legend has them.
+    count = len(handles)
+    room = letters // (1 + (count > 5 and letters > MANY)) - SIGN
+    labels = [in_lines(str(one.get_label()), room) for one in handles]
+    longest = lambda lines: max(map(len, FORMULA.sub("x", lines).split("\n")))
+    widths = [SIGN + longest(one) for one in labels]
     wide = lambda columns: sum(part.max() for part in np.array_split(widths, columns))
-    fitting = [columns for columns in range(least, most + 1) if wide(columns) <= inches]
-    room = math.inf if fitting else inches / least - sign
-    fewest_rows = lambda columns: (-(-len(handles) // columns), columns)
-    return {
-        "handles": handles,
-        "labels": [in_lines(one, room, size) for one in labels],
-        "ncols": min(fitting, key=fewest_rows, default=least),
-    }
+    rows = math.ceil(count / max((n for n in range(1, count + 1) if wide(n) <= letters), default=1))
+    return {"handles": handles, "labels": labels, "ncols": math.ceil(count / rows)}
 
 
-def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:
+def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist] = (), note: str = "") -> None:
     """Put a legend at the left, below all axes of a figure, under a note.
 
-    It has what is labelled on some of the axes, each label once, and then the given signs of other
-    labels, each label and colour once.
+    It has what is labelled on some of the axes, and then the given signs, each label and colour
+    once.
     """
     axes = [*axes]
-    labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes))
-    named = {one.get_label(): one for one in labelled}
+    labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes), signs)
     colour = lambda one: str(one.get_facecolor() if isinstance(one, Patch) else one.get_color())
-    others = {(one.get_label(), colour(one)): one for one in signs if one.get_label() not in named}
-    handles = [*named.values(), *others.values()]
+    handles = [*{(one.get_label(), colour(one)): one for one in labelled}.values()]
     figure = figure_of(axes[0])
-    wide = figure.get_figwidth()
-    above: Any = in_lines(note, wide, "legend.fontsize") or None
+    wide = letters_in(figure.get_figwidth(), "legend.fontsize")
+    above: Any = in_lines(note, wide) or None
     look: Any = {"loc": "outside lower left", "frameon": False, "alignment": "left"}
     figure.legend(**in_columns(handles, wide), title=above, **look)
 
@@ -311,10 +290,8 @@ def chosen_title(style: Style, title: str) -> str:
     return own if isinstance(own, str) else title * own
 
 
-def figure_title(
-    figure: Figure, title: str, size: str = "x-large", style: Style | None = None
-) -> None:
+def figure_title(figure: Figure, title: str, style: Style | None = None) -> None:
     """Write a title at the left, above all axes of a figure."""
     if title := chosen_title(style or {}, title):
-        lines = in_lines(title, 0.97 * figure.get_figwidth(), size, "bold")
-        figure.suptitle(lines, x=0.01, ha="left", size=size, weight="bold")
+        most = letters_in(figure.get_figwidth() / WIDER, "figure.titlesize")
+        figure.suptitle(in_lines(title, most), x=0.01, ha="left", weight="bold")

@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.checks import WrongUse
@@ -114,11 +113,12 @@ def draw_optimisation(
     own = data.sel(parameter=parameter)
     draw_end(ax, own, "start", marker="o", mfc="none", mec=INK, mew=1.4, ms=12)
     draw_end(ax, own, "optimum", marker="*", mfc=BASINS[1], mec="white", ms=17)
-    ground, runs = draw_scan(ax, data, parameter), draw_runs(ax, data, parameter)
+    ground = draw_scan(ax, data, parameter)
+    draw_runs(ax, data, parameter)
     ax.set_xlim(*results.bounds(data, parameter))
     ax.locator_params(axis="x", nbins=6)
     note, y = text.join_phrases([gain(data), *ending(data, parameter)]), objective_words(data)
-    return finish(ax, style, title, note, x=parameter, y=y, legend=[*runs, *ground])
+    return finish(ax, style, title, note, x=parameter, y=y, legend=ground)
 
 
 def draw_end(ax: Axes, own: xr.Dataset, side: str, **look: Any) -> None:
@@ -147,8 +147,8 @@ def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> list[Patch]:
     return [Patch(fc=FORBIDDEN, ec=SCAN, lw=0.5, label=limit_words(data))]
 
 
-def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> list[Line2D]:
-    """Draw the steps of all runs. Returns other runs and stages for the legend."""
+def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> None:
+    """Draw the steps of all runs, with other runs and stages for the legend."""
     found = results.runs(data, parameter)
     for run in found:
         style: dict[str, Any] = {"zorder": 3 + run.best, "alpha": 1 if run.best else FAINT}
@@ -157,13 +157,12 @@ def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> list[Line2D]:
         for k, (colour, size, _) in enumerate(STAGES):
             dots = run.parameter[run.stage == k], run.value[run.stage == k]
             ax.plot(*dots, "o", color=colour, ms=size, mec="white", **style)
-    faint: Any = {"marker": "o", "mec": "white", "ms": 7, "lw": 0.8, "color": STAGES[0][0]}
-    others = [Line2D([], [], alpha=FAINT, label="other runs", **faint)]
-    return others * (not all(run.best for run in found)) + [
-        Line2D([], [], marker="o", ls="", color=colour, ms=size, label=words)
-        for k, (colour, size, words) in enumerate(STAGES)
-        if any(k in run.stage for run in found)
-    ]
+    if not all(run.best for run in found):
+        faint: Any = {"color": (STAGES[0][0], FAINT), "mec": "white"}
+        ax.plot([], [], "o-", ms=7, lw=0.8, label="other runs", **faint)
+    for k, (colour, size, words) in enumerate(STAGES):
+        if any(k in run.stage for run in found):
+            ax.plot([], [], "o", color=colour, ms=size, label=words)
 
 
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
@@ -175,10 +174,9 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
     found, images = regions.paint_one_basin(data, fate, fate == ATTRACTED)
-    extent = regions.extent_of(data["fate_start"])
     names = results.free_parameters(data)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
-        regions.show_image(ax, image, extent)
+        regions.show_image(ax, image, data["fate_start"])
         values = text.parameter_values(dict(zip(names, data[side].values.tolist(), strict=True)))
         area, fixed = results.area_at(data, side), results.slice_coordinates(data)
         words = [text.area_phrase(data, area)] if area is not None and area > 0 else []

@@ -42,7 +42,7 @@ def step(data: xr.Dataset) -> Figure:
     check_dataset(data, "walk")
     own = data.isel(frame=data["stride"].values == 0)
     figure, panels = new_panels(9, 6.4, 2, 3, sharex=True, sharey=True)
-    last, size = own.sizes["frame"] - 1, leg_size(data)
+    size, last = leg_size(data), own.sizes["frame"] - 1
     shown = own.isel(frame=[round(share * last) for share in SHARES])
     places = np.concatenate([shown[name].values[:, 0] for name in ("stance", "hip", "swing")])
     left = min(-0.62 * size, places.min() - 0.1 * size)  # farther where the walker falls
@@ -50,8 +50,8 @@ def step(data: xr.Dataset) -> Figure:
     outcome, ending = int(data["outcome"][0]), "just before heel strike"
     if outcome != Outcome.STRIDE:
         ending = failure_words(outcome, failures_of(data))
-    for k, (ax, share) in enumerate(zip(panels, SHARES, strict=True)):
-        pose = own.isel(frame=round(share * last))
+    for k, ax in enumerate(panels):
+        pose = shown.isel(frame=k)
         draw_ground(ax, data)
         draw_pose(ax, pose)
         if k == 1:
@@ -61,12 +61,10 @@ def step(data: xr.Dataset) -> Figure:
         ax.set_title(note, loc="right", fontsize=SMALL)
         ax.set(xlim=(left, right), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
         ax.set_axis_off()
-    legs = [
-        Line2D([], [], color=colour, lw=3, label=f"{name} leg")
-        for name, colour in (("stance", INK), ("swing", SWING))
-    ]
-    figure_legend(panels, legs)
-    figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
+    for name, colour in (("stance", INK), ("swing", SWING)):
+        panels[-1].plot([], [], color=colour, lw=3, label=f"{name} leg")
+    figure_legend(panels)
+    figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)")
     return figure
 
 

@@ -18,11 +18,10 @@ from walker_jax.figures.style import INK
 
 TURNED, ABOVE = np.radians(35), np.radians(20)
 """View of the walk: angle turned from its right side to its front, and elevation."""
-LIGHT = np.array([0.35, -0.75, 0.55]) / np.linalg.norm([0.35, -0.75, 0.55])
-"""Direction to the light that shades discs; shadows fall straight onto the slope."""
-DARKEST = 0.4
-"""Share of its colour that a disc keeps where the light grazes it."""
+WHITE = 0.45
+"""Share of white in the face of a disc; its edge has the colour itself."""
 SHADOW = "#c9c9c9"
+"""Colour of shadows, which fall straight onto the slope."""
 CORNERS = 60
 """Corners of the polygon that represents a disc."""
 FAR = 2
@@ -46,50 +45,37 @@ def draw_in_space(
         float(pose.attrs[f"walker_{name}"]) for name in ("slope", "disc_radius", "leg_length")
     )
     place = {name: pose[name].values for name in ("stance", "swing", "stance_hip", "swing_hip")}
-    axle = pose["axle"].values
     flat = lambda points: project(points, slope)[:, :2]
+    near = lambda points: float(project(points, slope)[:, 2].mean())
     below = (place["stance"] + place["swing"]) / 2 * [1, 1, 0]
-    drawn: list[Artist] = draw_slope(ax, below, slope, length)
-
-    def disc(centre):
-        """Return the edge of a disc, normal to the axle."""
-        first = np.cross(axle, [0.0, 0.0, 1.0])
-        first /= np.linalg.norm(first)
-        turn = np.linspace(0, 2 * np.pi, CORNERS)[:, None]
-        return centre + radius * (np.cos(turn) * first + np.sin(turn) * np.cross(axle, first))
-
-    bars = [("stance", "stance_hip", INK), ("swing", "swing_hip", SWING)]
-    rods = [(place[foot], place[hip], colour) for foot, hip, colour in bars]
-    rods.append((place["stance_hip"], place["swing_hip"], GROUND))
-    for start, end, _ in rods:
-        (line,) = ax.plot(*flat(np.stack([start, end]) * [1, 1, 0]).T, color=SHADOW, lw=3, zorder=2)
-        drawn.append(line)
-    for foot, _, _ in bars:
-        shadow = Polygon(flat(disc(place[foot]) * [1, 1, 0]), fc=SHADOW, ec=SHADOW, lw=2, zorder=2)
-        drawn.append(ax.add_patch(shadow))
-
-    parts: list[tuple[float, Artist]] = []
-    for start, end, colour in rods:
-        both = project(np.stack([start, end]), slope)
-        line = Line2D(*both[:, :2].T, color=colour, lw=4, solid_capstyle="round")
-        parts.append((both[:, 2].mean(), line))
-    share = DARKEST + (1 - DARKEST) * abs(float(axle @ LIGHT))
-    for foot, _, colour in bars:
-        shade = 1 - share * (1 - np.array(to_rgb(colour)))
-        shade = np.clip(shade * 0.6 + 0.4 * share, 0, 1)
-        face = Polygon(flat(disc(place[foot])), fc=(*shade, 0.92), ec=colour, lw=1.6)
-        near = project(place[foot][None], slope)[0, 2]
-        parts.append((near + 1e-3 * length * np.sign(near), face))
-    for order, (_, part) in enumerate(sorted(parts, key=lambda one: one[0])):
-        part.set_zorder(3 + order)
-        drawn.append(ax.add_artist(part))
+    axle, turn = pose["axle"].values, np.linspace(0, 2 * np.pi, CORNERS)[:, None]
+    first = np.cross(axle, [0.0, 0.0, 1.0])
+    first /= np.linalg.norm(first)
+    edge = radius * (np.cos(turn) * first + np.sin(turn) * np.cross(axle, first))
+    legs = ("stance", INK), ("swing", SWING)
+    rods = [(np.stack([place[one], place[f"{one}_hip"]]), colour) for one, colour in legs]
+    rods.append((np.stack([place["stance_hip"], place["swing_hip"]]), GROUND))
+    discs = [(place[one] + edge, colour) for one, colour in legs]
+    shadows: list[Artist] = []
+    parts: dict[Artist, float] = {}  # with how near they are to the eye
+    for points, colour in rods:
+        shadow = flat(points * [1, 1, 0])
+        shadows.append(Line2D(*shadow.T, color=SHADOW, lw=3, zorder=2))
+        line = Line2D(*flat(points).T, color=colour, lw=4, solid_capstyle="round")
+        parts[line] = near(points)
+    for points, colour in discs:
+        shadow = flat(points * [1, 1, 0])
+        shadows.append(Polygon(shadow, fc=SHADOW, ec=SHADOW, lw=2, zorder=2))
+        face = *(WHITE + (1 - WHITE) * np.array(to_rgb(colour))), 0.92
+        parts[Polygon(flat(points), fc=face, ec=colour, lw=1.6)] = near(points)
+    for order, part in enumerate(sorted(parts, key=parts.__getitem__), start=3):
+        part.set_zorder(order)
+    drawn = [ax.add_artist(one) for one in (*slope_around(below, slope, length), *shadows, *parts)]
     return drawn, flat(below[None])[0], 1.25 * length
 
 
-def draw_slope(
-    ax: Axes, below: Float[np.ndarray, " 3"], slope: float, length: float
-) -> list[Artist]:
-    """Draw the slope around a place, with lines at every half of a leg."""
+def slope_around(below: Float[np.ndarray, " 3"], slope: float, length: float) -> list[Artist]:
+    """Return the slope around a place, with lines at every half of a leg."""
     middle = below / length
     at = np.arange(np.ceil(2 * (middle[0] - FAR)), 2 * (middle[0] + FAR)) / 2
     side = np.array([-1.0, -0.5, 0.0, 0.5, 1.0]) + round(2 * middle[1]) / 2
@@ -98,7 +84,4 @@ def draw_slope(
     lines = [flat([(x, side[0]), (x, side[-1])]) for x in at]
     lines += [flat([(at[0], y), (at[-1], y)]) for y in side]
     ground = Polygon(flat(corners), fc=SOIL, ec="none", zorder=0)
-    return [
-        ax.add_patch(ground),
-        ax.add_collection(LineCollection(lines, colors="#d5d5d5", lw=0.8, zorder=1)),
-    ]
+    return [ground, LineCollection(lines, colors="#d5d5d5", lw=0.8, zorder=1)]

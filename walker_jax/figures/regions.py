@@ -12,13 +12,11 @@ from matplotlib.patches import Patch
 
 from walker_jax.basins.cell_classes import along_axis, failing_cells, large_basins, walking_cells
 from walker_jax.figures import style
-from walker_jax.figures.layout import figure_of, width_of
+from walker_jax.figures.layout import LETTER, figure_of
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import NO_BREAK, SYMBOLS, format_number
 from walker_jax.systems.outcomes import Outcome, failures_of, names_in
 
-Extent = tuple[float, float, float, float]
-"""Edges of a grid: left, right, low and high."""
 WRITTEN_COORDINATES = 3
 """Most coordinates of a state that a legend has room for."""
 BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"
@@ -92,17 +90,11 @@ def largest(data: xr.Dataset) -> list[int]:
     return large_basins(data, len(BASINS))
 
 
-def draw_regions(
-    ax: Axes, data: xr.Dataset, large: list[int] | None = None
-) -> tuple[list[Region], Extent]:
-    """Draw the regions of a data set over two dimensions, by default with its largest basins.
-
-    Returns them, and the edges of the grid.
-    """
+def draw_regions(ax: Axes, data: xr.Dataset, large: list[int] | None = None) -> list[Region]:
+    """Draw the regions of a plane, by default with its largest basins, and return them."""
     found = regions_of(data, largest(data) if large is None else large)
-    extent = extent_of(data["fate"])
-    show_image(ax, paint(found, data["fate"].shape), extent)
-    return found, extent
+    show_image(ax, paint(found, data["fate"].shape), data["fate"])
+    return found
 
 
 def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -111,20 +103,10 @@ def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return float(centres[0] - half), float(centres[-1] + half)
 
 
-def extent_of(cells: xr.DataArray) -> Extent:
-    """Return the outer edges of cells along their first two axes."""
+def show_image(ax: Axes, image: np.ndarray, cells: xr.DataArray, **look: Any) -> None:
+    """Draw an image of cells, the first of their axes along x, on all of the picture's axes."""
     x, y, *_ = cells.dims
-    return (*cell_edges(cells[x].values), *cell_edges(cells[y].values))
-
-
-def corners_of(extent: Extent, shape: tuple[int, ...]) -> list[Float[np.ndarray, " n"]]:
-    """Return the edges of all cells along each axis."""
-    ends = zip(np.reshape(extent, (2, 2)), shape, strict=True)
-    return [np.linspace(first, last, n + 1) for (first, last), n in ends]
-
-
-def show_image(ax: Axes, image: np.ndarray, extent: Extent, **look: Any) -> None:
-    """Draw an image of cells, the first axis along x, on all of the axes."""
+    extent = *cell_edges(cells[x].values), *cell_edges(cells[y].values)
     look = {"interpolation": "auto", "rasterized": True} | look
     ax.imshow(image.swapaxes(0, 1), origin="lower", extent=extent, aspect="auto", **look)
     ax.set(xlim=extent[:2], ylim=extent[2:])
@@ -185,27 +167,31 @@ def counted_patch(region: Region, share: int) -> Patch:
     return patch_of(region, f"{region.words} ({about}{count:,}{NO_BREAK}cell{'s' * (count > 1)})")
 
 
-def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent: Extent) -> bool:
+def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"]) -> bool:
     """Write letter and words of a region where it is widest, or the letter alone, as there is room.
 
     `free` marks where labels may stand. Returns whether there was room for the words.
     """
+    from scipy.ndimage import distance_transform_edt
+
     cells = region.cells & free
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
     share = 0.8  # of the axes; the rest is for title and legend
     size = np.multiply(ax.bbox.size, share * 72 / figure_of(ax).dpi)
-    low, high = np.array(extent[::2]), np.array(extent[1::2])
     dark = np.dot(to_rgb(region.colour), (0.3, 0.59, 0.11)) < 0.5
     look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
     letter, words = (region.letter, style.LARGE, "bold"), (region.words, style.SMALL, "normal")
     for lines in ([letter, words], [letter]) if region.letter else ([words],):
-        wide = 72 * max(width_of(*line) for line in lines)
+        wide = max(LETTER * style.points_of(font) * len(text) for text, font, _ in lines)
         tall = sum(1.2 * style.points_of(font) for _, font, _ in lines)
         # The ellipse within the box of the words fits where its centre is deeper than 1.
-        depth = depths(cells, 2 * size / np.array((wide, tall)) / cells.shape)
+        steps = 2 * size / np.array((wide, tall)) / cells.shape
+        depth: Any = distance_transform_edt(np.pad(cells, 1), sampling=steps.tolist())
+        depth = depth[1:-1, 1:-1]
         if depth.max() >= 1:
             deepest = np.argwhere(depth == depth.max())
-            place = low + (deepest[len(deepest) // 2] + 0.5) / cells.shape * (high - low)
+            share_of_axes = (deepest[len(deepest) // 2] + 0.5) / cells.shape
+            place = ax.transLimits.inverted().transform(share_of_axes)
             sides = ("bottom", "top") if len(lines) == 2 else ("center",)
             for (text, font, weight), side in zip(lines, sides, strict=True):
                 ax.annotate(text, place.tolist(), va=side, size=font, weight=weight, **look)
@@ -213,35 +199,8 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
     return False
 
 
-def depths(
-    cells: Bool[np.ndarray, "nx ny"], steps: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "nx ny"]:
-    """Return how far each cell is from the nearest one that is not of these, or beyond the border.
-
-    `steps` are the sides of a cell. SciPy has this, `distance_transform_edt`, in a package that
-    takes a tenth of the time of the first command to load.
-    """
-    inside = np.pad(cells, 1)
-    columns = np.arange(inside.shape[1])
-    last = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)
-    coming = np.minimum.accumulate(np.where(inside, len(columns), columns)[:, ::-1], axis=1)
-    within_row = (np.minimum(columns - last, coming[:, ::-1] - columns) * steps[1]) ** 2
-    nearest = within_row.copy()
-    for rows in range(1, len(inside)):
-        across = (rows * steps[0]) ** 2
-        if across >= nearest.max():
-            break
-        there = within_row + across
-        np.minimum(nearest[rows:], there[:-rows], out=nearest[rows:])
-        np.minimum(nearest[:-rows], there[rows:], out=nearest[:-rows])
-    return np.sqrt(nearest)[1:-1, 1:-1]
-
-
-def keep_clear(
-    free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"], extent: Extent
-) -> None:
+def keep_clear(ax: Axes, free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"]) -> None:
     """Mark in `free` that no label may stand on these dots."""
-    shape, low = np.array(free.shape), np.array(extent[::2])
-    for dot in np.nan_to_num((dots - low) / (np.array(extent[1::2]) - low), nan=-1):
-        first, last = (np.clip(dot + side * 0.03, 0, 1) * shape for side in (-1, 1))
-        free[int(first[0]) : int(last[0]) + 1, int(first[1]) : int(last[1]) + 1] = False
+    x, y = (np.linspace(0, 1, n) for n in free.shape)
+    for across, up in ax.transLimits.transform(dots):
+        free[np.ix_(abs(x - across) < 0.03, abs(y - up) < 0.03)] = False

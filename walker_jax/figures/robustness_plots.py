@@ -60,7 +60,7 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
     for name, shown in zip(axes, limits, strict=True):
         first, last = np.searchsorted(data[name].values, shown)
         window[name] = slice(max(0, first - 2), last + 2)  # some cells, however large they are
-    found, _ = regions.draw_regions(ax, data.isel(window), regions.largest(data))
+    found = regions.draw_regions(ax, data.isel(window), regions.largest(data))
     for curve, line in zip(curves, ("-", "--"), strict=False):
         ax.plot(*curve.T, line, color="white", lw=1.6)
     name = regions.attractor_name(data, int(data["gait_period"]), gait[None])

@@ -81,7 +81,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
         handles.append(Line2D([], [], label="bifurcation", **EVENT))
     layout.figure_legend(figure.axes, handles)
     count = text.count_noun(data.sizes["attractor"], "attractor")
-    layout.figure_title(figure, f"{text.walker_title(data)}, {count}", "large")
+    layout.figure_title(figure, f"{text.walker_title(data)}, {count}")
     return figure
 
 

@@ -49,17 +49,16 @@ def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) 
     ax = begin(ax, style, data, "viability")
     data, place = middle_plane(data)
     kernel, actions = data["viable"].values, data.sizes["action_number"]
-    extent = regions.extent_of(data["viable"])
     failing = regions.with_failures([], data, data["failure"].values)
     image = regions.paint(failing, kernel.shape)
     share = data["safe_actions"].values / actions
     scale = ScalarMappable(Normalize(0, max(share.max(), 1 / actions)), SHARES)
     image[kernel] = scale.to_rgba(share[kernel], bytes=True)[:, :3]
-    regions.show_image(ax, image, extent)
+    regions.show_image(ax, image, data["viable"])
     drawn = {"target": data["capture"].values == 0}
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
     for name, cells in drawn.items():
-        draw_boundary(ax, BOUNDS[name], cells, extent)
+        draw_boundary(ax, BOUNDS[name], data, cells)
     bar, patches = (scale, "share of safe actions"), map(regions.patch_of, failing)
     note, (x, y) = viability_note(data) + place, map(str, data["viable"].dims)
     return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches, bar=bar)
@@ -86,17 +85,17 @@ def capturability(
     ax = begin(ax, style, data, "viability")
     plane, place = middle_plane(data)
     around = checked_basins(data, {} if basins is None else basins)
-    extent, (x, y) = regions.extent_of(plane["viable"]), map(str, plane["viable"].dims)
+    x, y = map(str, plane["viable"].dims)
     found = [
         regions.Region(cells, colour, "", words)
         for cells, colour, words in zip(capture_sets(plane), COLOURS, set_names(data), strict=True)
         if words
     ]
-    regions.show_image(ax, regions.paint(found, plane["viable"].shape), extent)
+    regions.show_image(ax, regions.paint(found, plane["viable"].shape), plane["viable"])
     for (words, basin), look in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
         named = f"{words}: {total_area(basin):.3g}", *look
-        draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
+        draw_boundary(ax, named, plane, cells["attractor"].values >= 0)
     note, patches = actions_in_words(data) + place, map(regions.patch_of, found)
     return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches)
 
@@ -155,19 +154,15 @@ def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, st
 
 
 def draw_boundary(
-    ax: Axes,
-    line: tuple[str, str, float, Any],
-    cells: Bool[np.ndarray, "nx ny"],
-    extent: regions.Extent,
+    ax: Axes, line: tuple[str, str, float, Any], data: xr.Dataset, cells: Bool[np.ndarray, "nx ny"]
 ) -> None:
-    """Draw the line around a set of cells, if it has any."""
+    """Draw the line around a set of cells of a plane, if it has any."""
     words, colour, width, kind = line
     if not cells.any():
         return
-    around = np.pad(cells, 1).repeat(2, 0).repeat(2, 1)[1:-1, 1:-1]
-    places = [one.repeat(2) for one in regions.corners_of(extent, cells.shape)]
     look: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
-    ax.contour(*places, around.T.astype(float), levels=[0.5], **look)
+    if not cells.all():
+        ax.contour(*(data[one] for one in data["viable"].dims), cells.T, levels=[0.5], **look)
     on_white = "0.6" if colour == "white" else colour
     ax.plot([], [], label=words, color=on_white, lw=width, ls=kind)
 

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from walker_jax.basins.cell_classes import has_known_units
-from walker_jax.basins.volumes import slice_basin
+from walker_jax.basins.volumes import runs_of, slice_basin
 from walker_jax.figures import layout, regions, text
 from walker_jax.figures.style import BASINS, OTHERS, TITLE
 from walker_jax.storage.schema import check_dataset
@@ -37,7 +37,7 @@ def volume(data: xr.Dataset) -> Figure:
     check_dataset(data, "refined volume")
     sizes, names = data["cells"].values, tuple(data["axis"].values.tolist())
     large = [i for i in np.argsort(-sizes, kind="stable")[: len(BASINS)].tolist() if sizes[i] > 0]
-    cells = attractors_of(data)
+    cells = runs_of(data).spread(data["run_attractor"].values)
     window = window_of(data, cells)
     attractors = [*regions.attractors(data, large, names)]
     centre = attractors[0][0][0] if attractors else window.mean(axis=1)
@@ -47,8 +47,7 @@ def volume(data: xr.Dataset) -> Figure:
         ax, depth = figure.add_subplot(2, 2, panel), names[hidden]
         depths = data[depth].values
         plane = slice_basin(data, depth, float(np.clip(centre[hidden], depths[0], depths[-1])))
-        found, _ = regions.draw_regions(ax, plane, large)
-        patches += map(regions.patch_of, found)
+        patches += map(regions.patch_of, regions.draw_regions(ax, plane, large))
         for dots, marker, name in attractors:
             regions.mark_attractor(ax, dots[:, shown], marker, name)
         ax.set(xlim=window[shown[0]], ylim=window[shown[1]])
@@ -66,13 +65,6 @@ def volume(data: xr.Dataset) -> Figure:
     return figure
 
 
-def attractors_of(data: xr.Dataset) -> np.ndarray:
-    """Return the attractor of every cell, -1 for none."""
-    shape = [data.sizes[name] for name in data["axis"].values.tolist()]
-    lengths = np.diff(data["first_cell"].values, append=np.prod(shape))
-    return np.repeat(data["run_attractor"].values, lengths).reshape(shape)
-
-
 def window_of(data: xr.Dataset, cells: np.ndarray) -> Float[np.ndarray, "axis end"]:
     """Return the range of each axis with basins, without their tails, slightly widened; or all."""
     whole = np.stack([data["lower"].values, data["upper"].values], axis=1)
@@ -82,9 +74,8 @@ def window_of(data: xr.Dataset, cells: np.ndarray) -> Float[np.ndarray, "axis en
     names = data["axis"].values.tolist()
     places = [data[name].values[one] for name, one in zip(names, index, strict=True)]
     ends = np.quantile(places, (TAILS, 1 - TAILS), axis=1).T
-    beyond = MARGIN * np.ptp(ends, axis=1) + np.ptp(whole, axis=1) / 100
-    ends += beyond[:, None] * [-1, 1]
-    return np.clip(ends, whole[:, :1], whole[:, 1:])
+    least = np.ptp(whole, axis=1, keepdims=True) / 100
+    return np.clip(layout.widened(ends, MARGIN, least), whole[:, :1], whole[:, 1:])
 
 
 def draw_surface(

@@ -88,6 +88,7 @@ def table_of(data: "xarray.Dataset", rows: str | None = None) -> "pandas.DataFra
     their names, after the dimensions, and have their units.
     """
     import pandas as pd
+    import xarray
 
     if rows is not None and rows not in data:
         names = ", ".join(map(str, data.variables))
@@ -96,21 +97,17 @@ def table_of(data: "xarray.Dataset", rows: str | None = None) -> "pandas.DataFra
     if rows is None and not counted:
         raise WrongUse("data has no variable with dimensions, and so no rows")
     dims = data[rows].dims if rows is not None else counted.most_common(1)[0][0]
-    parts: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     others = sorted(str(name) for name in data.variables if name not in dims)
     for name in (*dims, *others):  # a folder of variables has no order
         one = data[name]
         if one.dims == dims or name in dims:
-            parts[with_unit(str(name), one.attrs)] = one
+            columns[with_unit(str(name), one.attrs)] = one
         elif one.dims == (*dims, "coordinate"):
             for i, each in enumerate(names_of_parts(data, one.shape[-1])):
-                parts[with_unit(f"{name}_{each}", one.attrs, i)] = one.isel(coordinate=i)
-    template = next(one for one in parts.values() if one.dims == dims)
-    columns = {
-        name: one.broadcast_like(template).transpose(*dims).values.ravel()
-        for name, one in parts.items()
-    }
-    return pd.DataFrame(columns)
+                columns[with_unit(f"{name}_{each}", one.attrs, i)] = one.isel(coordinate=i)
+    whole = zip(columns, xarray.broadcast(*columns.values()), strict=True)
+    return pd.DataFrame({name: one.values.ravel() for name, one in whole})
 
 
 def names_of_parts(data: "xarray.Dataset", count: int) -> list[str]:
