@@ -10,7 +10,7 @@ from importlib.util import find_spec, module_from_spec, resolve_name
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from walker_jax.origins import is_own
+from walker_jax.origins import home_of, is_own
 
 MOST = 4096
 """Size of each cache of what code reads."""
@@ -48,7 +48,12 @@ def names_used(code: CodeType, *how: str) -> list[str]:
 
 
 def imported_by(function: FunctionType, changes: Callable[[Any], bool]) -> Iterator[ModuleType]:
-    """Yield the modules that a function imports when it runs, of those that change."""
+    """Yield the modules that a function imports when it runs, of those that change.
+
+    None for a function of installed code, whose imports wait until they are needed.
+    """
+    if not is_own(home_of(function)):
+        return
     for level, name, names in imports_in(function.__code__):
         for end in ("", *(f".{one}" for one in names)):  # a name may be that of a module
             with contextlib.suppress(Exception):  # as of an optional package

@@ -12,9 +12,11 @@ import xarray as xr
 from made_up_results import PLAIN, SHEARED, data_set, deep, every_fate
 from matplotlib.figure import Figure
 from parts_of_pictures import annotations, colours, figure_of, labels, legend, lightness, luminance
+from scipy.ndimage import distance_transform_edt
 
 import walker_jax as wj
 from walker_jax import Outcome, figures
+from walker_jax.figures.regions import depths
 from walker_jax.systems.outcomes import OWN
 
 WORDS = {
@@ -89,6 +91,14 @@ def test_a_label_keeps_away_from_other_regions_and_dots():
     )
     assert (low < box.p0).all() and (box.p1 < high).all()
     assert not box.padded(4).contains(*dot)
+
+
+@pytest.mark.parametrize("share", [0, 0.5, 0.99, 1])
+def test_depths_are_those_of_scipy(share):
+    cells = np.random.default_rng(3).random((40, 23)) < share
+    steps = np.array([0.3, 0.7])
+    expected = distance_transform_edt(np.pad(cells, 1), sampling=steps)
+    np.testing.assert_array_equal(depths(cells, steps), np.asarray(expected)[1:-1, 1:-1])
 
 
 def test_what_is_too_small_for_a_label_is_in_the_legend():

@@ -172,8 +172,6 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"]) -> boo
 
     `free` marks where labels may stand. Returns whether there was room for the words.
     """
-    from scipy.ndimage import distance_transform_edt
-
     cells = region.cells & free
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
     share = 0.8  # of the axes; the rest is for title and legend
@@ -185,9 +183,7 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"]) -> boo
         wide = max(LETTER * style.points_of(font) * len(text) for text, font, _ in lines)
         tall = sum(1.2 * style.points_of(font) for _, font, _ in lines)
         # The ellipse within the box of the words fits where its centre is deeper than 1.
-        steps = 2 * size / np.array((wide, tall)) / cells.shape
-        depth: Any = distance_transform_edt(np.pad(cells, 1), sampling=steps.tolist())
-        depth = depth[1:-1, 1:-1]
+        depth = depths(cells, 2 * size / np.array((wide, tall)) / cells.shape)
         if depth.max() >= 1:
             deepest = np.argwhere(depth == depth.max())
             share_of_axes = (deepest[len(deepest) // 2] + 0.5) / cells.shape
@@ -197,6 +193,30 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"]) -> boo
                 ax.annotate(text, place.tolist(), va=side, size=font, weight=weight, **look)
             return lines[-1] is words
     return False
+
+
+def depths(
+    cells: Bool[np.ndarray, "nx ny"], steps: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "nx ny"]:
+    """Return how far each cell is from the nearest one that is not of these, or beyond the border.
+
+    `steps` are the sides of a cell. SciPy has this, `distance_transform_edt`, in a package that
+    takes a tenth of the time of the first command to load.
+    """
+    inside = np.pad(cells, 1)
+    columns = np.arange(inside.shape[1])
+    last = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)
+    coming = np.minimum.accumulate(np.where(inside, len(columns), columns)[:, ::-1], axis=1)
+    within_row = (np.minimum(columns - last, coming[:, ::-1] - columns) * steps[1]) ** 2
+    nearest = within_row.copy()
+    for rows in range(1, len(inside)):
+        across = (rows * steps[0]) ** 2
+        if across >= nearest.max():
+            break
+        there = within_row + across
+        np.minimum(nearest[rows:], there[:-rows], out=nearest[rows:])
+        np.minimum(nearest[:-rows], there[rows:], out=nearest[:-rows])
+    return np.sqrt(nearest)[1:-1, 1:-1]
 
 
 def keep_clear(ax: Axes, free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"]) -> None:
