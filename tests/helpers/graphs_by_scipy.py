@@ -18,53 +18,58 @@ CLEARLY = 1e-9
 """A guard that leads to another mode ends its own at once if it begins above zero by this much."""
 
 
-def stride_through_graph(system, x):
-    """The next point on the section, its time, and the modes on the way, a failure the last."""
-    y, unravel = ravel_pytree(system.lift(jnp.asarray(x, float)))
-    y, time, modes = np.asarray(y), 0.0, system.modes()
-    passed = [next(iter(modes))]
-    while True:
-        mode = modes[passed[-1]]
-        field, guards = compiled(mode, unravel)
-        guard, y, length = first_end(mode, field, guards, y)
-        time, after = time + length, guard.reset(unravel(y))
-        if guard.leads_to == wj.SECTION:
-            return np.asarray(system.project(after)), time, passed
-        passed.append(guard.leads_to)
-        if guard.leads_to not in modes:
-            return np.full(len(x), np.nan), time, passed
-        y = np.asarray(ravel_pytree(after)[0])
+def through_graph(system) -> Any:
+    """The stride as a function of a point, compiled once.
+
+    It returns the next point on the section, its time, and the modes on the way; NaN for the
+    point after a failure, which is then the last of these.
+    """
+    modes, known = system.modes(), {}
+
+    def stride(x):
+        start, unravel = ravel_pytree(system.lift(jnp.asarray(x, float)))
+        y, time, passed = np.asarray(start), 0.0, [next(iter(modes))]
+        while (name := passed[-1]) in modes:
+            if name not in known:
+                known[name] = compiled(modes[name], unravel)
+            guard, y, length = first_end(modes[name], *known[name], y)
+            time, after = time + length, guard.reset(unravel(y))
+            if guard.leads_to == wj.SECTION:
+                return np.asarray(system.project(after)), time, passed
+            passed.append(guard.leads_to)
+            y = np.asarray(ravel_pytree(after)[0])
+        return np.full(len(x), np.nan), time, passed
+
+    return stride
 
 
-def compiled(mode, unravel):
+def compiled(mode, unravel) -> tuple[Any, Any]:
     """The field, and the values of all guards and whether each is admitted, of flat states."""
-    field: Any = jax.jit(lambda y: ravel_pytree(mode.field(unravel(y)))[0])
 
-    def values(y):
+    def guards(y):
         state = unravel(y)
         ends = [(one.value(state), one.admitted(state)) for one in mode.guards]
         return tuple(map(jnp.stack, zip(*ends, strict=True)))
 
-    return lambda y: np.asarray(field(y)), jax.jit(values)
+    return jax.jit(lambda y: ravel_pytree(mode.field(unravel(y)))[0]), jax.jit(guards)
 
 
 def first_end(mode, field, guards, y):
     """The guard that ends a mode which begins at y, the state there and how long the mode lasts."""
-    values, admitted = guards(y)
-    for guard, value, counts in zip(mode.guards, values, admitted, strict=True):
+    for guard, value, counts in zip(mode.guards, *guards(y), strict=True):
         if guard.leads_to != wj.SECTION and counts and value > CLEARLY:
             return guard, y, 0.0
-    ends = [lambda _, y, i=i: float(guards(y)[0][i]) for i in range(len(mode.guards))]
-    for one in ends:
-        one.terminal, one.direction = True, 1
-    rates = lambda _, y: field(y)
-    options: Any = dict(rtol=1e-13, atol=1e-13, first_step=1e-3)
-    made = solve_ivp(rates, (0, 20), y, "DOP853", events=ends, **options)
-    end = made.y[:, -1]
-    rises = [guard for guard, *now in zip(mode.guards, *guards(end), strict=True) if is_due(*now)]
-    return rises[0], end, made.t[-1]
-
-
-def is_due(value, counts):
-    """Whether a guard has risen where it is admitted; another of the same value may not be."""
-    return counts and abs(value) < CLEARLY
+    ends: list[Any] = [lambda _, y, i=i: float(guards(y)[0][i]) for i in range(len(mode.guards))]
+    for guard, one in zip(mode.guards, ends, strict=True):
+        one.terminal, one.direction = not guard.admits, 1
+    rates = lambda _, y: np.asarray(field(y))
+    options: Any = dict(rtol=1e-13, atol=1e-13, first_step=1e-3, max_step=0.05)
+    made = solve_ivp(rates, (0, 100), y, "DOP853", events=ends, **options)
+    rises = [
+        (time, i, end)
+        for i, (times, states) in enumerate(zip(made.t_events, made.y_events, strict=True))
+        for time, end in zip(times, states, strict=True)
+        if guards(end)[1][i]
+    ]
+    time, i, end = min(rises, key=lambda one: one[:2])
+    return mode.guards[i], end, time

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import assert_gait, check_functions_of_modes, differences
-from graphs_by_scipy import stride_through_graph
+from graphs_by_scipy import through_graph
 from reference import read_values
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 
 BOUNDER = wj.systems.BoundingQuadruped()
+bound = through_graph(BOUNDER)
 STARTS = {
     (1.04, 0.7, 0.0): "flight, on rear, flight after rear, on front after rear, last flight",
     (1.03, -0.7, 0.01): "flight, on front, flight after front, on rear after front, last flight",
@@ -85,7 +86,7 @@ def stride_by_scipy(x, walker=BOUNDER):
 @pytest.mark.parametrize("start", [*STARTS, tuple(BOUND)])
 def test_its_modes_in_any_order_make_the_stride_of_legs(start):
     """And the bound returns to its start."""
-    made, lasted, passed = stride_through_graph(BOUNDER, start)
+    made, lasted, passed = bound(start)
     state, time = stride_by_scipy(start)
     np.testing.assert_allclose(made, state, atol=5e-11)
     np.testing.assert_allclose(lasted, time, atol=5e-11)
