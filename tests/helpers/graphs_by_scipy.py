@@ -64,7 +64,7 @@ def first_end(mode, field, guards, y):
         one.terminal, one.direction = not guard.admits, 1
     rates = lambda _, y: np.asarray(field(y))
     options: Any = dict(rtol=1e-13, atol=1e-13, first_step=1e-3, max_step=0.05)
-    made = solve_ivp(rates, (0, 100), y, "DOP853", events=ends, **options)
+    made = solve_ivp(rates, (0, 20), y, "DOP853", events=ends, **options)
     rises = [
         (time, i, end)
         for i, (times, states) in enumerate(zip(made.t_events, made.y_events, strict=True))

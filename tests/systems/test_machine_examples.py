@@ -141,20 +141,17 @@ SCUFFING = np.stack([THETAS, SUMS - THETAS], -1).reshape(-1, 2)
 
 
 def test_modes_of_a_walker_scuff_where_the_foot_lacks_room():
-    """By SciPy's place of the foot; a foot that clears the ground changes nothing.
-
-    In the slower walks legs pass each other within a step of SciPy's.
-    """
+    """By SciPy's place of the foot; a foot that clears the ground changes nothing."""
     kind = names_of("a walker whose foot may scuff", until="\n# A gait")["ScuffingWalker"]
     walkers = wj.SimplestWalker(0.004), kind(0.004, jnp.array(0.5)), kind(0.004, jnp.array(5e-4))
     strides, scuffs = [*map(through_graph, walkers)], []
-    for x in SCUFFING[SCUFFING[:, 0] > 0.18]:
+    for x in ([0.2, -0.203], [0.25, -0.27], [0.3, -0.32]):
         (free, *_), (none, *_), (_, _, passed) = (stride(x) for stride in strides)
         np.testing.assert_allclose(none, free, atol=1e-10)
-        if np.isfinite(free).all():
-            scuffs.append(lacks_room(x, 5e-4))
-            assert (passed[-1] == "scuffs") == scuffs[-1]
-    assert 0 < sum(scuffs) < len(scuffs)
+        assert np.isfinite(free).all()
+        scuffs.append(lacks_room(x, 5e-4))
+        assert (passed[-1] == "scuffs") == scuffs[-1]
+    assert scuffs == [False, True, True]
 
 
 @pytest.mark.slow
