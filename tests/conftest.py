@@ -14,6 +14,7 @@ import signal
 import sys
 from collections.abc import Iterator
 
+import equinox.internal as eqxi
 import jax
 import pytest
 from compiler_flags import QUICK
@@ -26,6 +27,10 @@ os.environ.setdefault("XLA_FLAGS", QUICK)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+eqxi.prevbefore = jax.jit(eqxi.prevbefore)
+"""Traced once: diffrax goes back from its last time by a hundred numbers, one after the other, each
+time that it is traced, which would be a sixth of the compilation of a small system."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)

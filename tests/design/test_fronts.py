@@ -92,7 +92,7 @@ def test_a_front_of_one_point_and_wrong_fronts():
         pareto(POINT, BOUNDS, ("speed", near_one), starts=1, progress=False)
 
 
-@pytest.mark.parametrize("free", ["bounds", "parameters"])
+@pytest.mark.parametrize("free", ["bounds", pytest.param("parameters", marks=pytest.mark.slow)])
 def test_functions_are_maximised_with_bounds_and_without(no_basins, free):
     """Of two, it is their weighted mean that is largest."""
     alone: Any = {"parameters": lambda one: (one.p, one.q), "objective": near_one}
@@ -104,8 +104,9 @@ def test_functions_are_maximised_with_bounds_and_without(no_basins, free):
     assert found.at_bound.values.tolist() == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_function_has_a_limit(no_basins):
-    """Nearest to (1, 1) on p <= 0.2."""
+    """Nearest to (1, 1) on p <= 0.2; on a front such a limit holds by default."""
     found = wj.optimise(POINT, BOUNDS, near_one, at_most={first: 0.2}, starts=1, progress=False)
     np.testing.assert_allclose(found.optimum, [0.2, 1], atol=0.004)
     assert found.measure.values[found.binding.values].tolist() == ["first"]

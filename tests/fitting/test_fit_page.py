@@ -26,7 +26,9 @@ def run_program(page, title, *, until="```", **known):
     return names
 
 
+@pytest.mark.slow
 def test_the_page_fits_a_slope_and_carries_its_error_on():
+    """The command fits the same walker by default; test_propagation has errors of gaits."""
     names = run_program("fit.md", "from a recording to an error of a gait")
     assert names["gait"].error.max() < 0.02
 

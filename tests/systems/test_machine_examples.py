@@ -4,9 +4,11 @@ import re
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import differences
+from graphs_by_scipy import through_graph
 from reference import ROOT
 from scipy.integrate import solve_ivp
 
@@ -16,12 +18,13 @@ PAGE = ROOT / "docs" / "machine-examples.md"
 PROGRAMS = dict(re.findall(r"<!-- (.*?) -->\n```python\n(.*?)```", PAGE.read_text(), re.S))
 
 
-def names_of(title):
-    """What a program of the page defines; its assertions hold."""
-    assert "\nassert " in PROGRAMS[title]
+def names_of(title, until=None):
+    """What a program of the page defines, up to a text in it; its assertions hold."""
+    program = PROGRAMS[title]
+    assert "\nassert " in program
     names: dict[str, Any] = {"__name__": "own"}
     with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
-        exec(compile(PROGRAMS[title], PAGE.name, "exec"), names)
+        exec(compile(program[: until and program.index(until)], PAGE.name, "exec"), names)
     return names
 
 
@@ -106,8 +109,8 @@ def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
     assert (data.fate == wj.Outcome.STRIDE).all()
 
 
-def test_a_crossed_switch_is_that_of_another_integration(relay):
-    relay, y = relay["Relay"](), -1.5
+def after_crossing(y):
+    """Where the relay arrives next at its switch, from (0, y) below it."""
 
     def fly(u, y, way):
         rates = lambda _, s: [0.2 * s[0] + s[1] - u, u - s[0]]
@@ -116,29 +119,54 @@ def test_a_crossed_switch_is_that_of_another_integration(relay):
         made = solve_ivp(rates, (0, 20), [0.0, y], "DOP853", events=ends, **options)
         return made.y_events[0][0][1]
 
-    y = fly(-1, y, 1)
-    expected = fly(1, max(y, 1.0), -1)  # after sliding, if it slides
-    np.testing.assert_allclose(wj.stride(relay, [-1.5]).state, [expected], atol=1e-11)
+    return fly(1, max(fly(-1, y, 1), 1.0), -1)  # after sliding, if it slides
 
 
+def test_modes_of_a_relay_cross_the_switch():
+    relay = names_of("a relay that slides", until="\ngait = ")["Relay"]()
+    state, _, passed = through_graph(relay)([-1.5])
+    np.testing.assert_allclose(state, [after_crossing(-1.5)], atol=1e-11)
+    assert passed == ["sliding", "below", "sliding", "above"]
+
+
+@pytest.mark.slow
+def test_a_crossed_switch_is_that_of_another_integration(relay):
+    found = wj.stride(relay["Relay"](), [-1.5]).state
+    np.testing.assert_allclose(found, [after_crossing(-1.5)], atol=1e-11)
+
+
+THETAS, SUMS = np.meshgrid([0.12, 0.15, 0.2, 0.25, 0.3], [-0.003, -0.01, -0.02])
+SCUFFING = np.stack([THETAS, SUMS - THETAS], -1).reshape(-1, 2)
+"""Starts, from some of which a foot scuffs that is too long by 5e-4."""
+
+
+def test_modes_of_a_walker_scuff_where_the_foot_lacks_room():
+    """By SciPy's place of the foot; a foot that clears the ground changes nothing."""
+    kind = names_of("a walker whose foot may scuff", until="\n# A gait")["ScuffingWalker"]
+    walkers = wj.SimplestWalker(0.004), kind(0.004, jnp.array(0.5)), kind(0.004, jnp.array(5e-4))
+    strides, scuffs = [*map(through_graph, walkers)], []
+    for x in ([0.2, -0.203], [0.25, -0.27], [0.3, -0.32]):
+        (free, *_), (none, *_), (_, _, passed) = (stride(x) for stride in strides)
+        np.testing.assert_allclose(none, free, atol=1e-10)
+        assert np.isfinite(free).all()
+        scuffs.append(lacks_room(x, 5e-4))
+        assert (passed[-1] == "scuffs") == scuffs[-1]
+    assert scuffs == [False, True, True]
+
+
+@pytest.mark.slow
 def test_a_foot_that_clears_the_ground_changes_nothing(scuffing):
     """And starts with a foot that is too long scuff, by SciPy's place of the foot."""
     walker, kind = scuffing["walker"], scuffing["ScuffingWalker"]
-    thetas, sums = np.meshgrid([0.12, 0.15, 0.2, 0.25, 0.3], [-0.003, -0.01, -0.02])
-    starts = np.stack([thetas, sums - thetas], -1).reshape(-1, 2)
-    free, none = (wj.strides(one, starts) for one in (walker, kind(0.004, 0.5)))
+    free, none = (wj.strides(one, SCUFFING) for one in (walker, kind(0.004, 0.5)))
     walks = free.outcome == wj.Outcome.STRIDE
     np.testing.assert_array_equal(none.outcome == wj.Outcome.STRIDE, walks)
     np.testing.assert_allclose(none.state, free.state, atol=1e-12)
     short = kind(0.004, 5e-4)
-    outcomes = wj.strides(short, starts).outcome
-    scuffs = int(short.failure("scuffs"))
-    found = 0
-    for x, outcome, without in zip(starts, outcomes, free.outcome, strict=True):
-        if without == wj.Outcome.STRIDE:
-            assert outcome == (scuffs if lacks_room(x, 5e-4) else wj.Outcome.STRIDE)
-            found += outcome == scuffs
-    assert 0 < found < int((free.outcome == 0).sum())
+    outcomes = wj.strides(short, SCUFFING).outcome
+    for x, outcome in zip(SCUFFING[walks], outcomes[walks], strict=True):
+        scuffs = outcome == int(short.failure("scuffs"))
+        assert scuffs == lacks_room(x, 5e-4) and (scuffs or outcome == wj.Outcome.STRIDE)
 
 
 @pytest.mark.slow

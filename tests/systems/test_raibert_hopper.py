@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import assert_gait, differences, newton
+from graphs_by_scipy import through_graph
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -77,6 +78,16 @@ HOPS = (HOPPER, (1.4, 0.6)), (HOPPER, (1.2, -0.3)), (HOPPER, (2.0, 0.1)), (SLOW,
 
 
 @pytest.mark.parametrize(("hopper", "start"), HOPS)
+def test_its_modes_make_the_hop_of_a_leg_with_a_motor(hopper, start):
+    made, lasted, passed = through_graph(hopper)(start)
+    state, time, _ = stride_by_scipy(start, hopper)
+    np.testing.assert_allclose(made, state, atol=2e-11)
+    np.testing.assert_allclose(lasted, time, atol=2e-11)
+    assert ("extension" in passed) == (hopper is HOPPER)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hopper", "start"), HOPS)
 def test_a_stride_is_that_of_another_integration(hopper, start):
     made = wj.stride(hopper, start)
     state, time, _ = stride_by_scipy(start, hopper)
@@ -126,7 +137,7 @@ def test_without_damping_a_hop_gains_the_work_of_the_motor():
     hopper = wj.systems.RaibertHopper(damping=0.0)
     apex, speed = start = (1.3, 0.4)
     *_, work = stride_by_scipy(start, hopper)
-    after, forward = wj.stride(hopper, start).state
+    (after, forward), *_ = through_graph(hopper)(start)
     assert work > 0.05
     assert after + forward**2 / 2 - apex - speed**2 / 2 == pytest.approx(work, abs=1e-11)
 
@@ -162,6 +173,12 @@ def test_derivatives_by_parameters_are_those_of_differences():
 
 
 def test_a_hopper_that_stays_on_the_ground_has_stopped():
+    state, _, passed = through_graph(WEAK)((1.001, 0.0))
+    assert passed[-1] == "STOPPED" and np.isnan(state).all()
+
+
+@pytest.mark.slow
+def test_a_stride_on_the_ground_ends_by_stopping():
     made = wj.stride(WEAK, (1.001, 0.0))
     assert made.outcome == wj.Outcome.STOPPED and np.isnan(made.state).all()
 
@@ -179,5 +196,6 @@ def test_wrong_uses_are_refused():
     assert HOPPER.feasible(jnp.array(GUESS))
 
 
+@pytest.mark.slow
 def test_low_and_fast_starts_are_outside():
     assert wj.strides(HOPPER, OUTSIDE).outcome.tolist() == [wj.Outcome.OUTSIDE] * 3

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import check_functions_of_modes
+from graphs_by_scipy import through_graph
 from reference import read_values
 from scipy.integrate import solve_ivp
 
@@ -72,6 +73,16 @@ STRIDES = [
 ]
 
 
+@pytest.mark.parametrize(("walker", "start"), STRIDES)
+def test_its_modes_make_the_stride_of_two_legs(walker, start):
+    made, lasted, passed = through_graph(walker)(start)
+    state, time = stride_by_scipy(walker, *start)
+    np.testing.assert_allclose(made, state, atol=2e-11)
+    np.testing.assert_allclose(lasted, time, atol=2e-11)
+    assert ("flight" in passed) != ("double support" in passed)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("walker", "start"), STRIDES)
 def test_a_stride_is_that_of_another_integration(walker, start):
     made = wj.stride(walker, start)

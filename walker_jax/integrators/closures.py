@@ -32,6 +32,10 @@ def compute_known_now(function: Callable, *args) -> Any:
     return jax.tree.unflatten(jax.tree.structure(result), found)
 
 
+REDUCED = {"unvmap_all": np.all, "unvmap_any": np.any}
+"""NumPy functions for what equinox asks of all cells at once; XLA would compile each."""
+
+
 class KnownNow(Interpreter):
     """Computes what follows from known numbers, and traces all else."""
 
@@ -42,12 +46,16 @@ class KnownNow(Interpreter):
 
     def default_rule(self, equation, operands):
         primitive, params = equation.primitive, equation.params
+        if primitive.name == "cond" and not isinstance(operands[0], Tracer):
+            return self.interpret(params["branches"][int(operands[0])], operands[1:])
         if any(isinstance(one, Tracer) for one in operands):
             return bind_primitive(primitive, params, operands, now=False)
         if primitive.name in CALLS_WITH_DERIVATIVES:
             return enter(self, equation, operands)
         if primitive.name == "select_n" and np.ndim(operands[0]) == 0:
             return [operands[1 + int(operands[0])]]
+        if primitive.name in REDUCED:
+            return [REDUCED[primitive.name](operands[0])]
         if primitive.name in EXACT:
             dtypes = [shape_dtype(variable.aval).dtype for variable in equation.invars]
             return [compute_exactly(primitive.name, operands, dtypes)]

@@ -241,7 +241,7 @@ def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -
             with np.errstate(all="ignore"):
                 return [known.astype(to)]
     with jax.ensure_compile_time_eval():
-        results = bind_primitive(primitive, params, list(map(jnp.asarray, operands)), now=False)
+        results = bind_primitive(primitive, params, [*map(jax.device_put, operands)], now=False)
         return list(map(np.asarray, results))
 
 

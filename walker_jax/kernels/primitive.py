@@ -101,8 +101,8 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
             return jit_call(program, mapped)(*operands)
     run, results = program.compiled.bind(operands, list(map(bool, mapped)), n)
     run(0, n)
-    with apply_settings(program.settings):
-        return [jnp.asarray(result.reshape((*cells, *result.shape[1:]))) for result in results]
+    with apply_settings(program.settings):  # `jnp.asarray` would compile a copy for each shape
+        return [jax.device_put(result.reshape((*cells, *result.shape[1:]))) for result in results]
 
 
 @functools.lru_cache(MAX_PROGRAMS)
