@@ -270,7 +270,7 @@ def replace_assembly(found):
 def linked_for_processor(closed, monkeypatch):
     """The program of which PTX is made, with libdevice in it, compiled for this processor."""
     monkeypatch.setattr(llvm.TargetMachine, "emit_assembly", lambda _, module: str(module))
-    operands, results, source = source_of(closed, 0)
+    operands, results, source, _ = source_of(closed, 0)
     text = ptx.ptx_of(source + ptx.entry_of(operands, results, (True,), False))
     monkeypatch.undo()
     text = re.sub(r"(?m)^declare .*@llvm.nvvm.(?!read).*\n", "", text)

@@ -56,7 +56,7 @@ def stride_of(walker, dtype):
 def with_one_lane(closed):
     """The program of a thread, compiled for this processor."""
     found = object.__new__(Compiled)
-    found.operands, found.results, source = source_of(closed, 0)
+    found.operands, found.results, source, _ = source_of(closed, 0)
     found.code = MachineCode(source, hash_source(source))
     return found
 

@@ -15,6 +15,7 @@ from jax.extend.core import ClosedJaxpr
 from llvmlite import ir
 
 from walker_jax.kernels.builder import Builder
+from walker_jax.kernels.machine import processor
 from walker_jax.kernels.memory import LONG
 from walker_jax.kernels.rules import is_floating
 from walker_jax.kernels.shortcuts import is_known
@@ -47,6 +48,7 @@ def define_cell(emitter, closed: ClosedJaxpr) -> ir.Function:
     kind = signature(emitter, closed.in_avals, closed.out_avals)
     function = ir.Function(emitter.builder.module, kind, FUNCTION)
     inner = type(emitter)(Builder(function.append_basic_block()), emitter.lanes, emitter.may_call)
+    inner.callees = emitter.callees
     *entries, inner.active = function.args
     inputs = inner.unflatten(entries, closed.in_avals, [None] * len(closed.in_avals))
     outputs = inner.interpret(closed, inputs)
@@ -64,6 +66,7 @@ def call_cell(emitter, function: Any, closed: ClosedJaxpr, operands: list) -> li
     vectors = [emitter.vector(entry, dtype) for entry, dtype in flat]
     active = emitter.vector(True, np.dtype(bool)) if emitter.active is None else emitter.active
     builder, avals = emitter.builder, closed.out_avals
+    emitter.calls += 1
     results = builder.call(function, [*vectors, active])
     entries = [builder.extract_value(results, i) for i in range(len(results.type.elements))]
     return emitter.unflatten(entries, avals, [None] * len(avals))
@@ -73,16 +76,17 @@ def call_cell(emitter, function: Any, closed: ClosedJaxpr, operands: list) -> li
 def call_other(emitter, equation, operands: list) -> list[np.ndarray]:
     """Call the machine code of another kernel, or include its function.
 
-    It is included where its own code has other lanes or keeps arrays in memory, and where some
-    numbers are known, as they shorten it.
+    It is included where its own code has other lanes, and where some numbers are known, as they
+    shorten it.
     """
     program, closed = equation.params["program"], equation.params["jaxpr"]
     entries, _ = emitter.flatten(operands, closed.in_avals)
     if not emitter.may_call or any(map(is_known, entries)):
         return emitter.call(equation, operands)
     other = program.compiled
-    if other is None or other.lanes != emitter.lanes or not other.code.has_cell:
+    if other is None or other.made_for != (processor(), emitter.lanes):
         return emitter.call(equation, operands)
+    emitter.callees[other.digest] = other.code
     key = "cell", other.digest, *map(emitter.identity, entries)
     if key not in emitter.known:
         builder, name = emitter.builder, SLOT.format(other.digest)

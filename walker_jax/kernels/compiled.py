@@ -16,7 +16,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.kernels.cell_functions import lanes_of
 from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.machine import hash_source, register_bits
+from walker_jax.kernels.machine import hash_source, processor, register_bits
 from walker_jax.kernels.machine_code import MachineCode, report_compilation
 from walker_jax.kernels.stored import is_long, keeps_arrays_in_memory
 
@@ -34,8 +34,11 @@ class Compiled:
         A `shared` program may be called by others (`shared_code`).
         """
         start = time.perf_counter()
-        self.operands, self.results, source = source_of(closed, register_bits(), shared)
-        self.code = MachineCode(source, hash_source(source))
+        bits = register_bits()
+        self.operands, self.results, source, callees = source_of(closed, bits, shared)
+        self.made_for = processor(), lanes_of(self.operands, self.results, bits)
+        """The processor, and the number of cells that it computes at once."""
+        self.code = MachineCode(source, hash_source(source), callees)
         report_compilation(start)
 
     @classmethod
@@ -46,6 +49,7 @@ class Compiled:
             return None
         found = object.__new__(cls)
         found.operands, found.results = shapes_and_types(operands), shapes_and_types(results)
+        found.made_for = processor(), lanes_of(found.operands, found.results, register_bits())
         found.code = code
         return found
 
@@ -53,11 +57,6 @@ class Compiled:
     def digest(self) -> str:
         """The hash of the program's source."""
         return self.code.digest
-
-    @property
-    def lanes(self) -> int:
-        """The number of cells that it computes at once."""
-        return lanes_of(self.operands, self.results, register_bits())
 
     def bind(
         self, operands: Sequence, mapped: Sequence[bool], n: int
@@ -84,8 +83,10 @@ class Compiled:
         return compute, results
 
 
-def source_of(closed: ClosedJaxpr, bits: int, shared: bool = False) -> tuple[list, list, str]:
-    """Return shapes and types of operands and results, and the program's source (`emit`)."""
+def source_of(
+    closed: ClosedJaxpr, bits: int, shared: bool = False
+) -> tuple[list, list, str, list[MachineCode]]:
+    """Return shapes and types of operands and results, the source, and what it calls (`emit`)."""
     avals = [*closed.in_avals, *closed.out_avals]
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
         raise UnsupportedPrimitive("a key to random numbers")
@@ -95,7 +96,7 @@ def source_of(closed: ClosedJaxpr, bits: int, shared: bool = False) -> tuple[lis
     if sum(math.prod(aval.shape) for aval in registers) > MAX_NUMBERS:
         raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
     with without_garbage_collection():
-        return operands, results, emit(closed, operands, results, bits, shared)
+        return operands, results, *emit(closed, operands, results, bits, shared)
 
 
 def shapes_and_types(avals: Sequence) -> list[tuple[tuple[int, ...], np.dtype]]:

@@ -235,7 +235,7 @@ def merge_lanes(
     buffers = emitter.new_buffers(avals)
     for i, (mine, function) in enumerate(zip(flags, functions, strict=True)):
         at_work = mine if lanes is None else builder.and_(mine, lanes)
-        jump, known = jumps is None or jumps[i], len(emitter.known)
+        jump, known, calls = jumps is None or jumps[i], len(emitter.known), emitter.calls
         first = chosen is None
         if jump and first:
             emitter.fill(buffers, [np.zeros((), object)] * len(buffers))
@@ -244,7 +244,7 @@ def merge_lanes(
             taken, done = builder.append_basic_block("taken"), builder.append_basic_block("joined")
             builder.cbranch(any_lane(emitter, at_work), taken, done)
             builder.position_at_end(taken)
-        emitter.active = at_work
+        begun, emitter.active = builder.block, at_work
         found = function()
         flat, kinds = emitter.flatten(found, avals)
         emitter.fill(buffers, found, None if first and not jump else [mine])
@@ -266,6 +266,7 @@ def merge_lanes(
                 phi.add_incoming(emitter.vector(one, dtype), after)
                 phi.add_incoming(emitter.vector(other, dtype), before)
             new = phis
-            forget_terms(emitter, known)
+        if jump or builder.block is not begun or emitter.calls != calls:
+            forget_terms(emitter, known)  # loops and calls compute the active lanes alone
         emitter.active, chosen = lanes, new
     return emitter.unflatten(chosen, avals, buffers)

@@ -52,6 +52,9 @@ class LLVMEmitter(Unrolling):
         self.lanes = lanes
         self.may_call = may_call
         """Whether it calls the machine code of other kernels; otherwise it includes them."""
+        self.callees: dict[str, Any] = {}
+        """By digest: the machine code that it calls."""
+        self.calls = 0
         self.active: Any = None
         """A flag for each lane, true if the lane is active; None if all are."""
         self.types: dict = {}
@@ -341,8 +344,8 @@ LLVMEmitter.rules = {
 
 
 def emit(
-    closed: ClosedJaxpr, operands: list, results: list, bits: int, shared: bool = False
-) -> str:
+    closed: ClosedJaxpr, operands: list, results: list, bits: int, shared: bool
+) -> tuple[str, list]:
     """Write the source of a program that computes results[start:stop] in vectors of `bits` bits.
 
     A vector should fill one register of the processor. LLVM splits a longer one over several
@@ -352,7 +355,7 @@ def emit(
     The program is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of
     two successive cells in an operand; it is 0 for an operand that all cells share. A `shared`
-    program also has a function that other programs call (`cell_functions`).
+    program also has a function that others call (`cell_functions`). Returns all code called too.
     """
     lanes, stored = lanes_of(operands, results, bits), keeps_arrays_in_memory(closed.jaxpr, bits)
     arguments = [LONG, LONG, ADDRESS.as_pointer(), LONG.as_pointer()]
@@ -394,4 +397,4 @@ def emit(
     if emitter.store is not None:
         emitter.store.close()
     builder.ret_void()
-    return str(module)
+    return str(module), [*emitter.callees.values()]

@@ -8,22 +8,22 @@ selects instructions, and does so alike for both.
 """
 
 import ctypes
+import functools
 import threading
 import time
-import weakref
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import llvmlite.binding as llvm
 
-from walker_jax.identity import Cache
 from walker_jax.kernels.cell_functions import FUNCTION, SLOT, SLOTS
 from walker_jax.kernels.machine import (
     QUICK,
     allows_quick_code,
     keep_source,
     load_program,
+    processor,
     recall_program,
     recall_source,
 )
@@ -41,6 +41,8 @@ TRIAL_SECONDS = 3e-7
 much as LLVM then takes for the shortest, and less for the longest."""
 PIECE = 64
 """Cells after which a thread looks whether the code has been optimised."""
+MOST_CALLEES = 64
+"""Most programs kept that were loaded from disk because others call them."""
 ENTRY = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
 
 
@@ -50,32 +52,24 @@ def report_compilation(start: float) -> None:
     jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
 
-codes: Cache = Cache()
-"""By digest: a weak reference to code in use, which other code may call."""
-
-
-def code_called(program: bytes) -> "Iterator[MachineCode]":
-    """Yield the code that a program calls, given its source or its machine code.
-
-    Raises `FileNotFoundError` if some is neither in use nor on disk.
-    """
-    for name in sorted(set(SLOTS.findall(program))):
-        digest = name.decode()
-        found = codes.get(digest, lambda: None)() or MachineCode.recall(digest)
-        if found is None:
-            raise FileNotFoundError(digest)
-        yield found
+@functools.lru_cache(MOST_CALLEES)
+def recall_callee(digest: str, made_for: tuple) -> "MachineCode":
+    """Load code for a processor that other code calls; `FileNotFoundError` without its file."""
+    found = MachineCode.recall(digest)
+    if found is None:
+        raise FileNotFoundError(digest)
+    return found
 
 
 class MachineCode:
     """Code that any number of threads may run at once."""
 
-    def __init__(self, source: str | None, digest: str):
+    def __init__(self, source: str | None, digest: str, callees: "Sequence[MachineCode]" = ()):
         """Begin with the source of a program; code is made when it is known for how many cells."""
         self.digest = digest
         self.source = source
         """What is left to be optimised, if anything."""
-        self.called: list[MachineCode] = [] if source is None else [*code_called(source.encode())]
+        self.callees = callees
         """Code of other kernels that it calls."""
         self.engines: list[llvm.ExecutionEngine] = []
         """All code so far: a thread may still run the first."""
@@ -83,7 +77,6 @@ class MachineCode:
         self.worked = 0.0
         """Seconds of work by unoptimised code."""
         self.compiling = threading.Lock()
-        codes[digest] = weakref.ref(self)
 
     @classmethod
     def recall(cls, digest: str) -> "MachineCode | None":
@@ -92,30 +85,24 @@ class MachineCode:
         source = recall_source(digest) if program is None else None
         if program is None and source is None:
             return None
+        engine, code = program or (None, (source or "").encode())
+        names = sorted({name.decode() for name in SLOTS.findall(code)})
         try:
-            found = cls(source, digest)
-            if program is not None:
-                engine, code = program
-                found.called = [*code_called(code)]
-                found.use(engine)
-        except FileNotFoundError:  # code that it calls
+            callees = [recall_callee(name, processor()) for name in names]
+        except FileNotFoundError:
             return None
+        found = cls(source, digest, callees)
+        if engine is not None:
+            found.use(engine)
         return found
 
     def use(self, engine: llvm.ExecutionEngine, *, quick: bool = False) -> None:
         """Run this code from now on; what it calls is optimised too, unless it is to be quick."""
-        for other in self.called:
+        for other in self.callees:
             slot = engine.get_global_value_address(SLOT.format(other.digest))
             ctypes.c_int64.from_address(slot).value = other.address_of_cell(quick)
         self.engines.append(engine)
         self.entry = ENTRY(engine.get_function_address("kernel"))
-
-    @property
-    def has_cell(self) -> bool:
-        """Whether other code may call it."""
-        if self.source is not None:
-            return f'@"{FUNCTION}"(' in self.source
-        return self.engines[-1].get_function_address(FUNCTION) != 0
 
     def address_of_cell(self, quick: bool) -> int:
         """Return the address of the function that other code calls."""
@@ -125,7 +112,7 @@ class MachineCode:
     @property
     def work(self) -> int:
         """Characters of the source that is left to be optimised, with that of what it calls."""
-        return len(self.source or "") + sum(other.work for other in self.called)
+        return len(self.source or "") + sum(other.work for other in self.callees)
 
     def run(self, start: int, stop: int, addresses: Any, strides: Any) -> None:
         """Compute results[start:stop] (`emit`)."""
@@ -157,7 +144,7 @@ class MachineCode:
         report_compilation(start)
 
     def optimise(self, *, wait: bool = True) -> None:
-        """Optimise the code, once; unless it is to wait, return if another thread compiles."""
+        """Optimise the code, once; unless it is to wait, return if another thread compiles it."""
         if self.source is None or not self.compiling.acquire(blocking=wait):
             return
         start = time.perf_counter()

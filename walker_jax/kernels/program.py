@@ -41,10 +41,11 @@ from walker_jax.kernels.unused import without_unused
 
 MAX_PROGRAMS = 256
 """Most functions kept compiled; the least recently used are dropped."""
-MIN_SHARED = 1000
-"""Fewest operations of a program that other kernels call; a smaller one becomes part of them."""
+MIN_SHARED, MAX_SHARED_NUMBERS = 1000, 100
+"""Fewest operations, and most numbers in operands and results, of a program that other kernels
+call; others become part of them. LLVM's library writes the types of all results at each result."""
 tracing_for_kernel = jax.make_user_context(False)
-"""True while a function is traced for a kernel, and the kernels it calls become part of it."""
+"""True while a function is traced for a kernel, which calls or includes the kernels within it."""
 
 
 class Program:
@@ -165,7 +166,9 @@ class Program:
     @property
     def shared(self) -> bool:
         """Whether other kernels call its machine code (`shared_code`)."""
-        return self.size >= MIN_SHARED
+        numbers = sum(math.prod(aval.shape) for aval in (*self.operands, *self.results))
+        derived = self.origin is not None or self.adjoint_of is not None
+        return self.size >= MIN_SHARED and numbers <= MAX_SHARED_NUMBERS and not derived
 
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
         """Return the derivative of all real results along directions of the operands `by`.
