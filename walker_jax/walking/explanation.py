@@ -14,9 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.following import (
-    NO_GUARD,
-)
+from walker_jax.hybrid.following import NO_GUARD
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
@@ -35,10 +33,7 @@ from walker_jax.walking.guards import Numbers
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.steps_of_modes import Followed, ModeStart, Rise, begin_mode, follow_steps
 from walker_jax.walking.stride import modes_from, stride
-from walker_jax.walking.undecided import (
-    doubts,
-    not_finite,
-)
+from walker_jax.walking.undecided import doubts, not_finite
 
 MOST_RISES = 20
 """Most rises of a mode that are reported: the last ones."""
