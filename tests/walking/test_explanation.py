@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.kernels.program import programs
 from walker_jax.walking import explanation, steps_of_modes
 from walker_jax.walking.undecided import doubts
 
@@ -47,6 +48,13 @@ def test_the_last_rise_is_what_ended_the_stride(x):
     else:
         assert mode.led_to == last.leads_to
     assert f": {found.outcome.name}\n" in str(found)
+
+
+def test_another_start_takes_the_same_programs():
+    explained(0.2, -0.2)
+    known = set(programs)
+    assert wj.explain(WALKER, (0.21, -0.21)).outcome == wj.Outcome.STRIDE
+    assert set(programs) == known
 
 
 @pytest.mark.slow
