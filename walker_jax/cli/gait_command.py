@@ -57,7 +57,7 @@ def gait(
     request = request_for("gait", walker, period=period, guess=begin, all=all)
     check_picture(figure, request, overwrite=overwrite)
     with lib.bar("search for gaits", True):
-        way = "another --start" if start else "--start NAME=VALUE"
+        way = "another start" if start else "--start NAME=VALUE"
         how: Any = {"every": all, "instead": f"try {way}"}
         found = lib.selection.select_gaits(walker, period, begin, **how)
     if figure is not None:

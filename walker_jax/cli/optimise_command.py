@@ -53,7 +53,10 @@ def optimise(
     walker: "wj.System",
     output: Output,
     over: Sequence[str] = option(
-        (), "A parameter that is free; may be repeated.", multiple=True, sets=["parameter"]
+        (),
+        "A parameter that is free; may be repeated.",
+        multiple=True,
+        sets={"parameter": "--over"},
     ),
     bounds: dict[str, tuple[float, float]] = named(
         "Bounds of such a parameter; one for each.", "LO:HI", flags=["--bound"]

@@ -13,8 +13,6 @@ from walker_jax.refusals import WrongUse
 
 WINDOW_CELLS = 200
 """Cells along each axis of a default window."""
-OWN = "theta", "sum", "thetadot", "phidot"
-"""Coordinates that have options of their own."""
 PHIDOT = "Rate between the legs, on sections that have it"
 
 
@@ -39,7 +37,7 @@ def axes_option(theme: str) -> Any:
         "phidot": (Axis, option(None, f"{PHIDOT}.")),
         "at_phidot": (float, option(None, "A slice of such a section.", keys=["phidot"])),
     }
-    return axis_option(theme=theme, own=own, sets=["grid", "axis"])
+    return axis_option(theme=theme, own=own, sets=dict.fromkeys(("grid", "axis"), "--axis"))
 
 
 def axis_option(**settings: Any) -> Any:
@@ -48,18 +46,18 @@ def axis_option(**settings: Any) -> Any:
     return named(text, RANGE, "VALUE", flags=["--axis"], metavar=f"NAME={RANGE}", **settings)
 
 
-def check_names(option: str, names: Iterable[str], given: dict[str, Any]) -> None:
+def check_names(names: Iterable[str], given: dict[str, Any]) -> None:
     """Refuse coordinates of other names than these."""
     for name in given:
         if name not in names:
-            typed = f"--{name}" if name in OWN else f"{option} {name}"
-            raise WrongUse(f"{typed} must be left out: the coordinates are {', '.join(names)}")
+            known = f"the coordinates are {', '.join(names)}"
+            raise WrongUse(f"{name} must be left out: {known}", of=name)
 
 
 def start_on(walker: "wj.System", given: dict[str, float], **usual: float) -> dict[str, float]:
     """Return the coordinates of a start, in the order of the section: none, or all."""
     given = usual | given
-    check_names("--start", walker.section, given)
+    check_names(walker.section, given)
     for name in walker.section if given else ():
         if name not in given:
             raise WrongUse(f"--start {name}=VALUE is required too")
@@ -87,7 +85,7 @@ def axes_on(walker: "wj.System", given: dict[str, Any]) -> dict[str, Any]:
     names = [*walker.section]
     if has_plane(walker) and "thetadot" not in given:
         names[1] = "sum"
-    check_names("--axis", names, given)
+    check_names(names, given)
     return {name: given.get(name) for name in names}
 
 
@@ -159,9 +157,9 @@ def check_section(walker: "wj.System", axis: dict[str, Any]) -> None:
 
 def check_drawable(grid: "wj.Grid") -> None:
     """Refuse a grid that is too coarse for a picture."""
-    if min(grid.shape) < 2:
-        axes = " and ".join(f"--{name}" for name in grid.names)
-        raise WrongUse(f"{axes} must have 2 cells or more each for a picture, not {grid.shape}")
+    for name, count in zip(grid.names, grid.shape, strict=True):
+        if count < 2:
+            raise WrongUse(f"{name} must have 2 cells or more for a picture, not {count}", of=name)
 
 
 def grid_of(walker: "wj.System", axes: dict[str, Any]) -> "wj.Grid":
