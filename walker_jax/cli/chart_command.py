@@ -30,7 +30,7 @@ def chart(
         RANGE,
         sets={"parameter": "--over", "cells": "the N of --over"},
     ),
-    start: dict[str, float] = start_option(),
+    start: dict[str, float] = start_option("Where the search for the gait begins"),
     period_max: int = option(4, "Longest period of which curves are followed.", most=64),
     strides: int = option(1000, "Strides before the period is read."),
 ):

@@ -44,7 +44,7 @@ GUESS: Any = (
 )
 def gait(
     walker: "wj.System",
-    start: dict[str, float] = start_option(guess=GUESS),
+    start: dict[str, float] = start_option("Where the search begins", guess=GUESS),
     period: int = option(1, "Strides in a cycle."),
     all: bool = option(False, "All gaits of the period, stable or not.", excludes=["start"]),
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes."),

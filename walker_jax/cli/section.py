@@ -16,33 +16,36 @@ WINDOW_CELLS = 200
 PHIDOT = "Rate between the legs, on sections that have it"
 
 
-def start_option(**more: Any) -> Any:
+def start_option(theme: str = "Start", **more: Any) -> Any:
     """Declare the options for the coordinates of a start, and more of them."""
     own = {
-        "theta": (float, option(None, "Stance angle, rad.")),
+        "theta": (float, option(None, "Stance angle, rad; short for --start theta=X.")),
         "thetadot": (float, option(None, "Its rate, rad per unit of time.")),
         "phidot": (float, option(None, f"{PHIDOT}.")),
         **more,
     }
-    text = "A coordinate of the start, by name: one for each."
-    return named(text, "VALUE", theme="Start", own=own)
+    text = "A coordinate of the start, by name; give each."
+    return named(text, "VALUE", theme=theme, own=own)
 
 
 def axes_option(theme: str) -> Any:
     """Declare the options for the axes of a window, or a region."""
     own = {
-        "theta": (Axis, option(None, "Stance angle, rad.")),
+        "theta": (Axis, option(None, "Stance angle, rad; short for --axis theta=LO:HI:N.")),
         "sum": (Axis, option(None, "theta + thetadot.")),
         "thetadot": (Axis, option(None, "The plain section: thetadot in the place of --sum.")),
         "phidot": (Axis, option(None, f"{PHIDOT}.")),
-        "at_phidot": (float, option(None, "A slice of such a section.", keys=["phidot"])),
+        "at_phidot": (
+            float,
+            option(None, "A slice of such a section, at this rate.", keys=["phidot"]),
+        ),
     }
     return axis_option(theme=theme, own=own, sets=dict.fromkeys(("grid", "axis"), "--axis"))
 
 
 def axis_option(**settings: Any) -> Any:
     """Declare the option for axes by name."""
-    text = "An axis by name, or NAME=VALUE for a slice: one for each coordinate of the section."
+    text = "An axis by name, or NAME=VALUE for a slice; give each coordinate of the section."
     return named(text, RANGE, "VALUE", flags=["--axis"], metavar=f"NAME={RANGE}", **settings)
 
 
