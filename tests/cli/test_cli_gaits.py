@@ -64,7 +64,7 @@ def test_gait_from_a_guess_and_of_a_longer_period(run):
         (["--period", "2", "--guess", "0.1534", "-0.1561"], "shorter period"),
         (["--slope", "0.5"], "no gait of period 1 found for SimplestWalker, slope 0.5: it makes"),
         (["--slope", "0.5", "--period", "2"], "none of the searches from 1983 starts that make"),
-        (["--guess", "0.2", "-0.4"], "another --start, or another --slope"),
+        (["--guess", "0.2", "-0.4"], "another start, or another --slope"),
     ],
 )
 def test_a_gait_that_is_not_found_ends_with_1_and_a_reason(run, arguments, reason):

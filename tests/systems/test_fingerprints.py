@@ -327,6 +327,18 @@ def test_a_function_reads_modules_as_they_are_at_that_moment():
     assert FunctionByCode(names["size"]) == before
 
 
+KEPT: dict[int, float] = {}
+in_dictionary = lambda n: KEPT.setdefault(n, n / 2)
+in_cache = functools.cache(lambda n: n / 2)
+
+
+@pytest.mark.parametrize(("half", "same"), [(in_dictionary, False), (in_cache, True)])
+def test_results_in_a_cache_do_not_count(half, same):
+    before = code_fingerprint(object, (half,))
+    assert half(1) == 0.5
+    assert (code_fingerprint(object, (half,)) == before) == same
+
+
 def test_a_function_reads_modules_that_it_imports(fingerprint, tmp_path, monkeypatch):
     """When it runs: they need not be loaded before; installed ones stay as they are."""
     monkeypatch.syspath_prepend(tmp_path / "own")

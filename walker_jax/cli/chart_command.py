@@ -26,9 +26,11 @@ def chart(
     walker: "wj.System",
     output: Output,
     over: dict[str, Axis] = named(
-        "A parameter, its ends and number of cells: give two.", RANGE, sets=["parameter", "cells"]
+        "A parameter, its ends and number of cells: give two.",
+        RANGE,
+        sets={"parameter": "--over", "cells": "the N of --over"},
     ),
-    start: dict[str, float] = start_option(),
+    start: dict[str, float] = start_option("Where the search for the gait begins"),
     period_max: int = option(4, "Longest period of which curves are followed.", most=64),
     strides: int = option(1000, "Strides before the period is read."),
 ):
@@ -51,7 +53,7 @@ def chart(
     request = request_for("chart", walker, start=guess, over=ranges, **how)
 
     def compute():
-        gait, *_ = lib.selection.select_gaits(walker, guess=guess, instead="try another --start")
+        gait, *_ = lib.selection.select_gaits(walker, guess=guess, instead="try another start")
         return wj.chart(walker, bounds, gait, progress=True, **how)
 
     answer = lib.summarise_chart(output.produce(request, compute, "chart"))

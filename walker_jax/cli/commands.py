@@ -49,6 +49,8 @@ class Command(click.Command):
     command takes, are for its help; `defaults` are those of options whose group has another one.
     """
 
+    allow_extra_args = True  # they are refused here
+
     def __init__(
         self,
         run: Callable[..., Any],
@@ -98,6 +100,8 @@ class Command(click.Command):
                         must = f"rename the parameter {name}"
                         raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
+            if ctx.args and not ctx.resilient_parsing:  # such as an option without its dashes
+                raise click.NoSuchOption(ctx.args[0])
         return ctx.args
 
     def invoke(self, ctx: click.Context) -> None:
@@ -124,7 +128,7 @@ class Command(click.Command):
             for line in files_in_words(given):
                 print(line)
         except Refusal as error:
-            error.args = (message_of(error, self.get_params(ctx)),)
+            error.args = (message_of(error, self.get_params(ctx), ctx.meta),)
             raise
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -44,7 +44,7 @@ GUESS: Any = (
 )
 def gait(
     walker: "wj.System",
-    start: dict[str, float] = start_option(guess=GUESS),
+    start: dict[str, float] = start_option("Where the search begins", guess=GUESS),
     period: int = option(1, "Strides in a cycle."),
     all: bool = option(False, "All gaits of the period, stable or not.", excludes=["start"]),
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes."),
@@ -57,7 +57,7 @@ def gait(
     request = request_for("gait", walker, period=period, guess=begin, all=all)
     check_picture(figure, request, overwrite=overwrite)
     with lib.bar("search for gaits", True):
-        way = "another --start" if start else "--start NAME=VALUE"
+        way = "another start" if start else "--start NAME=VALUE"
         how: Any = {"every": all, "instead": f"try {way}"}
         found = lib.selection.select_gaits(walker, period, begin, **how)
     if figure is not None:

@@ -53,15 +53,20 @@ def optimise(
     walker: "wj.System",
     output: Output,
     over: Sequence[str] = option(
-        (), "A parameter that is free; may be repeated.", multiple=True, sets=["parameter"]
+        (),
+        "A parameter that is free; may be repeated.",
+        multiple=True,
+        sets={"parameter": "--over"},
     ),
     bounds: dict[str, tuple[float, float]] = named(
         "Bounds of such a parameter; one for each.", "LO:HI", flags=["--bound"]
     ),
     objective: Sequence[str] = option(
         (),
-        "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
-        "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a sum.",
+        # In this order no line of 80 columns breaks within a name.
+        "area (default), volume, basin-stability, fall-action, least-disturbance, "
+        "cost-of-transport, spectral-radius, sensitivity-norm, step-length or speed; NAME=WEIGHT, "
+        "repeated, for a sum.",
         multiple=True,
     ),
     at_least: tuple[str, float] | None = option(

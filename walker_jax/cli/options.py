@@ -144,22 +144,31 @@ class Named(click.ParamType):
 
 
 def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the numbers that an option is given for each name; refuse a name given twice."""
+    """Return the numbers that an option is given for each name; refuse a name given twice.
+
+    The context keeps what is typed for a name, for messages about it.
+    """
     found: dict[str, Any] = {}
     for name, numbers in pairs:
         if name in found:
             raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
         found[name] = numbers
+        ctx.meta[name] = f"{name_of(param)} {hyphenated(name)}"
     return found
 
 
 def put_into(ctx: Any, param: Any, value: Any) -> None:
     """Put the value of an option for some names into the dictionary of all names."""
+    if value is None:
+        ctx.meta.update(dict.fromkeys(param.keys, name_of(param)) | ctx.meta)
+        return
     several = value if len(param.keys) > 1 else [value]
-    for name, one in zip(param.keys, several, strict=True) if value is not None else ():
+    for name, one in zip(param.keys, several, strict=True):
         if name in ctx.params[param.into]:
-            raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
+            both = f"and {ctx.meta[name]} exclude each other: give one of them"
+            raise click.BadParameter(both, ctx, param)
         ctx.params[param.into][name] = one
+        ctx.meta[name] = name_of(param)
 
 
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
@@ -188,9 +197,9 @@ def argument(metavar: str) -> Any:
 class Option(click.Option):
     """An option of a theme of the help, for a value of a kind.
 
-    It may exclude others, or need one, by their names. It `sets` arguments of the library, besides
-    that of its name. Its value may go `into` the dictionary of another option, under its name, or
-    under `keys`.
+    It may exclude others, or need one, by their names. What it `sets` are arguments of the library,
+    besides that of its name, each with the words for it in messages. Its value may go `into` the
+    dictionary of another option, under its name, or under `keys`.
     """
 
     def __init__(
@@ -202,7 +211,7 @@ class Option(click.Option):
         flags: Sequence[str] = (),
         excludes: Sequence[str] = (),
         needs: str = "",
-        sets: Sequence[str] = (),
+        sets: Mapping[str, str] | None = None,
         into: str = "",
         keys: Sequence[str] = (),
         **settings: Any,
@@ -218,7 +227,8 @@ class Option(click.Option):
         if into:
             settings |= {"callback": put_into, "expose_value": False}
         super().__init__([name, *(flags or [option_of(name)])], show_default=True, **settings)
-        self.theme, self.sets, self.into = theme, (name, *sets), into
+        self.theme, self.into = theme, into
+        self.sets = {} if into else {name: name_of(self), **(sets or {})}
         self.excludes, self.needs, self.keys = excludes, needs, keys or [name]
 
     def handle_parse_result(self, ctx: click.Context, opts: Any, args: list[str]) -> Any:
@@ -297,14 +307,16 @@ def refuse(reason: str, **options: Any) -> None:
         raise WrongUse(f"{option_of(name)} {reason}")
 
 
-def message_of(error: Refusal, params: Sequence[click.Parameter]) -> str:
+def message_of(
+    error: Refusal, params: Sequence[click.Parameter], typed: Mapping[str, str] | None = None
+) -> str:
     """Return a message of the library with options in the places of the arguments at fault.
 
-    An argument that none of these options sets keeps its name.
+    An argument that none of these options sets, and for which nothing is typed, keeps its name.
     """
-    set_by: dict[str, str] = {}
+    set_by = dict(typed or {})
     for one in reversed(params):  # a parameter of the walker before all that the command sets
-        set_by |= dict.fromkeys(getattr(one, "sets", (str(one.name),)), name_of(one))
+        set_by |= getattr(one, "sets", {one.name: name_of(one)})
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:

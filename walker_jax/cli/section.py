@@ -13,53 +13,54 @@ from walker_jax.refusals import WrongUse
 
 WINDOW_CELLS = 200
 """Cells along each axis of a default window."""
-OWN = "theta", "sum", "thetadot", "phidot"
-"""Coordinates that have options of their own."""
 PHIDOT = "Rate between the legs, on sections that have it"
 
 
-def start_option(**more: Any) -> Any:
+def start_option(theme: str = "Start", **more: Any) -> Any:
     """Declare the options for the coordinates of a start, and more of them."""
     own = {
-        "theta": (float, option(None, "Stance angle, rad.")),
+        "theta": (float, option(None, "Stance angle, rad; short for --start theta=X.")),
         "thetadot": (float, option(None, "Its rate, rad per unit of time.")),
         "phidot": (float, option(None, f"{PHIDOT}.")),
         **more,
     }
-    text = "A coordinate of the start, by name: one for each."
-    return named(text, "VALUE", theme="Start", own=own)
+    text = "A coordinate of the start, by name; give each."
+    return named(text, "VALUE", theme=theme, own=own)
 
 
 def axes_option(theme: str) -> Any:
     """Declare the options for the axes of a window, or a region."""
     own = {
-        "theta": (Axis, option(None, "Stance angle, rad.")),
+        "theta": (Axis, option(None, "Stance angle, rad; short for --axis theta=LO:HI:N.")),
         "sum": (Axis, option(None, "theta + thetadot.")),
         "thetadot": (Axis, option(None, "The plain section: thetadot in the place of --sum.")),
         "phidot": (Axis, option(None, f"{PHIDOT}.")),
-        "at_phidot": (float, option(None, "A slice of such a section.", keys=["phidot"])),
+        "at_phidot": (
+            float,
+            option(None, "A slice of such a section, at this rate.", keys=["phidot"]),
+        ),
     }
-    return axis_option(theme=theme, own=own, sets=["grid", "axis"])
+    return axis_option(theme=theme, own=own, sets=dict.fromkeys(("grid", "axis"), "--axis"))
 
 
 def axis_option(**settings: Any) -> Any:
     """Declare the option for axes by name."""
-    text = "An axis by name, or NAME=VALUE for a slice: one for each coordinate of the section."
+    text = "An axis by name, or NAME=VALUE for a slice; give each coordinate of the section."
     return named(text, RANGE, "VALUE", flags=["--axis"], metavar=f"NAME={RANGE}", **settings)
 
 
-def check_names(option: str, names: Iterable[str], given: dict[str, Any]) -> None:
+def check_names(names: Iterable[str], given: dict[str, Any]) -> None:
     """Refuse coordinates of other names than these."""
     for name in given:
         if name not in names:
-            typed = f"--{name}" if name in OWN else f"{option} {name}"
-            raise WrongUse(f"{typed} must be left out: the coordinates are {', '.join(names)}")
+            known = f"the coordinates are {', '.join(names)}"
+            raise WrongUse(f"{name} must be left out: {known}", of=name)
 
 
 def start_on(walker: "wj.System", given: dict[str, float], **usual: float) -> dict[str, float]:
     """Return the coordinates of a start, in the order of the section: none, or all."""
     given = usual | given
-    check_names("--start", walker.section, given)
+    check_names(walker.section, given)
     for name in walker.section if given else ():
         if name not in given:
             raise WrongUse(f"--start {name}=VALUE is required too")
@@ -87,7 +88,7 @@ def axes_on(walker: "wj.System", given: dict[str, Any]) -> dict[str, Any]:
     names = [*walker.section]
     if has_plane(walker) and "thetadot" not in given:
         names[1] = "sum"
-    check_names("--axis", names, given)
+    check_names(names, given)
     return {name: given.get(name) for name in names}
 
 
@@ -159,9 +160,9 @@ def check_section(walker: "wj.System", axis: dict[str, Any]) -> None:
 
 def check_drawable(grid: "wj.Grid") -> None:
     """Refuse a grid that is too coarse for a picture."""
-    if min(grid.shape) < 2:
-        axes = " and ".join(f"--{name}" for name in grid.names)
-        raise WrongUse(f"{axes} must have 2 cells or more each for a picture, not {grid.shape}")
+    for name, count in zip(grid.names, grid.shape, strict=True):
+        if count < 2:
+            raise WrongUse(f"{name} must have 2 cells or more for a picture, not {count}", of=name)
 
 
 def grid_of(walker: "wj.System", axes: dict[str, Any]) -> "wj.Grid":

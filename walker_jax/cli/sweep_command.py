@@ -29,7 +29,7 @@ def sweep(
     pieces: Pieces,
     output: Output,
     over: dict[str, Axis] = named(
-        "Values of a parameter; give it again for others.", RANGE, sets=["parameter"]
+        "Values of a parameter; give it again for others.", RANGE, sets={"parameter": "--over"}
     ),
     axes: dict[str, Any] = axes_option("Region"),
     levels: int = option(2, "Levels of refinement of the areas.", least=0),

@@ -10,7 +10,6 @@ UNITS: Any = named(
     "The walker's length in m, mass in kg, and gravity (default: 9.81 m/s²): answers in SI.",
     "VALUE",
     theme="Units",
-    sets=["length", "mass", "gravity"],
 )
 
 

@@ -1,6 +1,7 @@
 """`walker-jax walk`."""
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NoReturn
 
@@ -70,7 +71,7 @@ def walk(
         made = wj.walk(walker, begin, strides, ground=heights)
     outcomes = lib.numpy.asarray(made.outcomes)
     if outcomes[0] == wj.Outcome.OUTSIDE:
-        refuse_start(walker, begin)
+        refuse_start(walker, begin, start)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, strides)
     coordinates = wj.State._fields if rough else walker.section
@@ -104,10 +105,14 @@ def walk(
         yield f"It ends in stride {len(ends)}: {why}."
 
 
-def refuse_start(walker: "wj.System", start: list[float]) -> NoReturn:
-    """Raise `WrongUse` for a start that is not feasible, with the condition that it violates."""
+def refuse_start(walker: "wj.System", begin: list[float], given: Iterable[str]) -> NoReturn:
+    """Raise `WrongUse` for a start that is not feasible, with the condition that it violates.
+
+    The user gave these of its coordinates.
+    """
     feasible = type(walker).feasible
     about = feasible.__doc__ if feasible is not wj.System.feasible else None
     condition = (about or "").strip().partition("\n")[0].rstrip(".")
     why = f": {condition}" if condition else ""
-    raise WrongUse(f"--start must be a feasible start, not {start}{why}")
+    other = f"give another {' or '.join(given)}"
+    raise WrongUse(f"{begin} is not a feasible start{why}", other, of=" ".join(given))

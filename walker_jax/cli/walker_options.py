@@ -121,7 +121,8 @@ class Chosen(NamedTuple):
 
 def option_for(one: Any) -> Option:
     """Make the option of a parameter, of an array or tree of them, or of a check of strides."""
-    about: dict[str, Any] = {"flags": [option_of(one.name)], "sets": [one.name], "default": None}
+    flag = option_of(one.name)
+    about: dict[str, Any] = {"flags": [flag], "sets": {one.name: flag}, "default": None}
     if isinstance(one, Check):
         return Option(PREFIX + one.name, is_flag=True, help=f"{one.meaning}.", **about)
     if not isinstance(one, Parameter):
