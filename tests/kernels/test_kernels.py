@@ -488,7 +488,7 @@ def test_a_function_may_have_no_results():
 def test_the_program_is_the_same_whenever_it_is_written(monkeypatch):
     """Not so if it depended on where objects lie in memory; nor would the last bits be."""
     programs, junk = [], []
-    monkeypatch.setattr(compiled, "MachineCode", lambda source, _: programs.append(source))
+    monkeypatch.setattr(compiled, "MachineCode", lambda source, *_: programs.append(source))
 
     def function(shared, x):
         waves = [jnp.sin(k * x) * jnp.cos(shared / k) for k in range(1, 9)]

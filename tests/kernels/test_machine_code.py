@@ -213,7 +213,7 @@ def test_both_levels_fuse_the_same_products_with_sums(name):
     integrator = Integrator(1e-12)
     stride = lambda x: follow_stride.__wrapped__(WALKERS["simplest"], x, integrator).state
     closed = jax.make_jaxpr(lambda x: jax.jvp(stride, (x,), (x,)))(np.zeros(2))
-    *_, source = source_of(closed, machine.bits_of(name, ""))
+    *_, source, _ = source_of(closed, machine.bits_of(name, ""))
     counts = []
     for level in (machine.QUICK, machine.OPTIMISED):
         target = machine.target_machine(name, "", level)

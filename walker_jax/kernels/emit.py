@@ -344,7 +344,7 @@ LLVMEmitter.rules = {
 
 
 def emit(
-    closed: ClosedJaxpr, operands: list, results: list, bits: int, shared: bool
+    closed: ClosedJaxpr, operands: list, results: list, bits: int, shared: bool = False
 ) -> tuple[str, list]:
     """Write the source of a program that computes results[start:stop] in vectors of `bits` bits.
 
