@@ -32,16 +32,18 @@ import jax
 import numpy as np
 
 from walker_jax.origins import PACKAGE, home_of, is_own, top_of
-from walker_jax.reading import MOST, READING, globals_named, names_used
 from walker_jax.state_of_objects import DERIVED, has_no_state, state_of
 
 PLAIN = {str, bytes, bool, int, float, complex, range, slice, type(None), type(...)}
 """Types whose values are identified by their `repr`."""
 LARGEST = 2**16
 """Bytes of the largest array that is compared by its values; a larger one equals only itself."""
+MOST = 4096
+"""Size of each cache of descriptions: of codes, trees, modules and files."""
 ALONE = np.ndarray | jax.Array | Field
 """Types that count as themselves in a process: large arrays, and what a class is made with."""
 DEFINED = types.FunctionType | type
+READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 FIRST_CONSTANT = [bytes((code, 0)) for code in dis.hasconst if code < 256]
 """Instructions that use the first constant of a code object."""
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
@@ -160,26 +162,21 @@ class Describer:
     def describe_function(self, function: types.FunctionType) -> Hashable:
         closure = self.refer_to(function.__closure__)
         more = function.__defaults__, function.__kwdefaults__, vars(function) or None
-        code = function.__code__
         if self.looks_into(function):
-            read = ((name, self.refer_to(one)) for name, one in self.globals_of(function).items())
-            return hash_of_code(code), *read, closure, *map(self.refer_to, more)
+            return self.describe_code(function), closure, *map(self.refer_to, more)
+        code = function.__code__
         names = self.name_definition(function), code.co_qualname  # a wrapper has another's name
         made = "<" in code.co_qualname  # a lambda, or defined within a function
         parts = (hash_of_code(code), *map(self.refer_to, more[:2])) if made else ()
         return names, closure, *parts
 
+    def describe_code(self, function: types.FunctionType) -> Hashable:
+        read = ((name, self.refer_to(value)) for name, value in self.globals_of(function).items())
+        return hash_of_code(function.__code__), *read
+
     def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
         """Return the globals that a function reads, by their names, also as parts of modules."""
-        read = names_used(function.__code__, *READING)
-        return globals_named(function, read, Cache, self.changes)
-
-    def changes(self, module: types.ModuleType) -> bool:
-        """Return whether the values in a module count: also in this package, which may be changed.
-
-        Not in another process, as they may not be loaded yet.
-        """
-        return self.looks_into(module) or (self.here and top_of(module) == PACKAGE)
+        return globals_named(function, names_used(function.__code__, *READING), Cache)
 
     def describe_class(self, kind: type) -> Hashable:
         if not self.looks_into(kind):
@@ -227,7 +224,35 @@ def hash_of_code(code: types.CodeType) -> str:
     return sha256_of((code.co_code, code.co_exceptiontable, names, counts, constants))
 
 
+def globals_named(function: types.FunctionType, read: list[str], left_out: Any) -> dict[str, Any]:
+    """Return the globals of these names, also as attributes of modules, without some types.
+
+    Left out are installed modules too, which do not change.
+    """
+    found, inside = {}, names_used(function.__code__)
+    spaces = [("", function.__globals__, read)]
+    for place, space, names in spaces:
+        for name, value in ((one, space[one]) for one in names if one in space):
+            if isinstance(value, types.ModuleType):
+                changes = is_own(value) or top_of(value) == PACKAGE
+                if changes and all(vars(value) is not one for _, one, _ in spaces):
+                    spaces.append((f"{place}{name}.", vars(value), inside))
+            elif not isinstance(value, left_out):
+                found[f"{place}{name}"] = value
+    return found
+
+
 def has_docstring(code: types.CodeType) -> bool:
     """Return whether the first constant is a text that no instruction uses: it documents."""
     first = next(iter(code.co_consts), None)
     return isinstance(first, str) and not any(use in code.co_code for use in FIRST_CONSTANT)
+
+
+@functools.lru_cache(MOST)
+def names_used(code: types.CodeType, *how: str) -> list[str]:
+    """Return the names in a code object and those within it, by some instructions or by any."""
+    names = set(code.co_names)
+    if how:
+        names = {one.argval for one in dis.get_instructions(code) if one.opname in how}
+    inner = (one for one in code.co_consts if isinstance(one, types.CodeType))
+    return sorted(names.union(*(names_used(one, *how) for one in inner)))

@@ -137,8 +137,7 @@ def test_files_of_tests_and_names_of_tests_are_short():
 def test_signatures_are_checked_in_every_room_with_shapes(pytestconfig):
     """In the others it takes a tenth of all processor time, and would look at a type or two."""
     hardly = {"cli", "execution", "identity", "integrators", "kernels", "lazy_names", "paper"}
-    hardly |= {"fingerprints", "origins", "proofs", "reading", "refusals", "state_of_objects"}
-    hardly |= {"storage"}
+    hardly |= {"fingerprints", "origins", "proofs", "refusals", "state_of_objects", "storage"}
     hardly |= {*ROOMS}  # checked in a process of their own
     option = pytestconfig.getoption("--jaxtyping-packages")
     checked = {name.removeprefix("walker_jax.") for name in option.split(",")[:-1]}

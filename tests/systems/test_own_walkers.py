@@ -24,7 +24,7 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.walkers.parameters import Parameter
-from {helper} import HALF, torque
+from {helper} import torque
 
 DAMPING = Parameter("damping", "of the hip", "sqrt(g / l)", 1.0, closed=True)
 
@@ -49,12 +49,9 @@ class Halved(wj.System):
     section = ("x", "y")
 
     def advance(self, x):
-        return x / HALF, 0, 1.0
+        return x / 2, 0, 1.0
 '''
 HELPER = """
-HALF = 2
-
-
 def torque(walker, state):
     return -walker.stiffness * (state.phi - walker.target) - walker.damping * state.phidot
 """
@@ -124,15 +121,13 @@ def test_a_result_is_not_resumed_or_reused_by_changed_code(run, place):
     command += ["--axis", "y=0:1:2", "--method", "direct", "--strides", "3"]
     assert run(*command)[0] == 0
     assert "computed before" in run(*command)[1]
-    changes = {
-        "torque_helper.py": ("HALF = 2", "HALF = 3"),
-        "torque_walker.py": ("0, 1.0", "0, 2.0"),
-    }
-    for name, (old, new) in changes.items():
+    for name in ("torque_helper.py", "torque_walker.py"):
         source = (place / name).read_text()
-        (place / name).write_text(f"# The same.\n{source}")
-        assert "computed before" in run(*command)[1]
-        (place / name).write_text(source.replace(old, new))
+        (place / name).write_text(
+            source.replace("damping", "damping * 2 / 2").replace("2 / 2: jax", ": jax")
+            if name == "torque_helper.py"
+            else source + "\nmore = 1\n"
+        )
         code, out, err = run(*command)
         assert (code, out) == (2, "") and "basin.zarr holds another result (code: " in err
         (place / name).write_text(source)

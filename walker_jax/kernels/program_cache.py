@@ -32,10 +32,13 @@ from jax.core import ShapedArray
 from walker_jax.identity import (
     ADDRESS,
     DEFINED,
+    MOST,
     Cache,
     Describer,
     Description,
     FunctionByCode,
+    globals_named,
+    names_used,
     sha256_of,
 )
 from walker_jax.kernels.machine import register_bits
@@ -49,7 +52,6 @@ from walker_jax.origins import (
     is_known_module,
     top_of,
 )
-from walker_jax.reading import MOST, globals_named, names_used
 
 OPTIONS = (
     *("jax_default_matmul_precision", "jax_default_prng_impl", "jax_disable_jit"),
@@ -114,8 +116,7 @@ class ReachedCode(Describer):
         """Leave out of the code of this package what is for a call alone."""
         if super().looks_into(function):
             return super().globals_of(function)
-        read = names_used(function.__code__)
-        return globals_named(function, read, Cache | ContextVar, self.changes)
+        return globals_named(function, names_used(function.__code__), Cache | ContextVar)
 
     def name_definition(self, definition: Any) -> Hashable:
         return tuple(getattr(definition, f"__{name}__", None) for name in ("module", "qualname"))

@@ -34,6 +34,11 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
         if scratch_folder(path).exists():
             with exclusive(path):
                 pass
+    return result_at(path, request, overwrite)
+
+
+def result_at(path: Path, request: dict, overwrite: bool) -> "xarray.Dataset | None":
+    """Return what `find` does, of a place where no killed run has left anything."""
     try:
         data = load(path)
     except Damaged as error:
@@ -61,7 +66,7 @@ def save(
     raises `StoreConflict`, as in `find`.
     """
     with rewritable(path, request) as save_again:
-        there = find(path, request, overwrite=overwrite)
+        there = result_at(resolve_link(path), request, overwrite)
         return save_again(data) if there is None else there
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
+from walker_jax.fingerprints import keep_files_of
 from walker_jax.grids import Grid, axes_around
 from walker_jax.hybrid.modes import SECTION, Condition, EarlyExit, Guard, Mode
 from walker_jax.integrators.roots import Scalar
@@ -64,6 +65,10 @@ class Walker(HybridSystem):
     most_steps: ClassVar[int] = 10_000
     """A phase or swing that has not ended after so many integration steps is `UNDECIDED`. A stride
     makes less than a hundred; a walker that rocks on its feet makes all of them."""
+
+    def __init_subclass__(cls, **kwargs):
+        super().__init_subclass__(**kwargs)
+        keep_files_of(cls)
 
     def __check_init__(self):
         settle(self)
