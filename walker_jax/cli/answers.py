@@ -1,13 +1,12 @@
 """The answers of commands: printed, drawn and saved."""
 
 import math
-import re
 import sys
 import time
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
@@ -121,6 +120,11 @@ class Output(Group):
         self.draw(getattr(wj.figures, picture)(data), request)
         return data
 
+    def places(self, film: Path | None = None) -> str:
+        """Write where the files are."""
+        shot = f", film {film}" if film is not None else ""
+        return f"  data set {self.out}, picture {self.picture}{shot}"
+
 
 class Pieces(Group):
     """The processes that compute the pieces of a data set."""
@@ -137,15 +141,6 @@ class Pieces(Group):
     def cluster(self) -> int | str | None:
         """The number of workers or the scheduler's address; None stands for this process."""
         return self.scheduler if self.workers is None else self.workers
-
-
-def files_in_words(given: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the line that says where the files are which a command was to write."""
-    output, picture = given.get("output"), given.get("figure")
-    places = {"data set": output and output.out, "picture": output.picture if output else picture}
-    places |= {"film": given.get("animate")}
-    if written := [f"{what} {place}" for what, place in places.items() if place is not None]:
-        yield f"  {', '.join(written)}"
 
 
 class Stopwatch:
@@ -183,26 +178,36 @@ def jsonable(value: Any) -> Any:
     return value
 
 
-MOTIONS = {"gait": "cycle", "Gait": "Cycle", "stride": "iterate", "walker": "start"}
-MOTIONS |= {"walks on": "goes on", "walks": "goes on", "walking": "the motion", "falls": "fails"}
-"""Words for motions of walkers, and those of other systems."""
-OF_MOTIONS = re.compile(
-    r"(?<!walker-jax )(?<![\w./-])"  # of no command, option or file
-    r"(gait|Gait|stride|walker|walks on|walks|walking|falls(?= from))(s?)(?![\w/-]|\.\w)"
-)
+class Terms(NamedTuple):
+    """Words for motions: those of walkers; `terms_of` has those of a system."""
+
+    cycle: str = "gait"
+    step: str = "stride"
+    start: str = "walker"
+    goes: str = "walks"
+    fails: str = "falls"
+    motion: str = "walking"
 
 
-def reword(line: str, system: "wj.System") -> str:
-    """Return a line of an answer in the words for motions of a system, which may not walk."""
+WALKING = Terms()
+
+
+def terms_of(system: "wj.System") -> Terms:
+    """Return the words for motions of a system, which only walks if it is a walker or a robot."""
     if isinstance(system, wj.Walker) or isinstance(system, lib.Robot):
-        return line
-    other = lambda text: OF_MOTIONS.sub(lambda found: MOTIONS[found[1]] + found[2], text)
-    return system.label().join(map(other, line.split(system.label())))  # its name stays
+        return WALKING
+    return Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
 
 
 def is_map(system: "wj.System", times: Any) -> bool:
     """Return whether steps of these times are those of a map, which take none."""
     return not isinstance(system, wj.HybridSystem) and all(time == 1 for time in times)
+
+
+def in_words(outcome: str, system: "wj.System") -> str:
+    """Write the name of an outcome in words; only a walker walks."""
+    goes_on = outcome == "STRIDE" and terms_of(system) is not WALKING
+    return "goes on" if goes_on else lib.outcome_in_words(outcome)
 
 
 def listed(numbers: Iterable[Any], form: str = ".6f") -> str:

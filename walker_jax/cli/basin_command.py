@@ -7,14 +7,18 @@ from typing import Any
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import (
+    WALKING,
     Output,
     Pieces,
     Stopwatch,
+    Terms,
     check_picture,
+    in_words,
     listed,
     points_listed,
     request_for,
     slope_of,
+    terms_of,
 )
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Choice, option, refuse
@@ -122,7 +126,7 @@ def basin(
     output.draw(draw_basin(walker, data, request), request)
     if animate is not None:
         draw_film(walker, data, shots, animate)
-    counts = lib.tally(data)
+    counts, terms = lib.tally(data), terms_of(walker)
     answer: dict[str, Any] = slope_of(request["walker"]) | {"method": data.attrs["method"]}
     answer |= lib.summarise_basin(data, counts)
     answer |= {"seconds": seconds, "walker": request["walker"]}
@@ -138,20 +142,21 @@ def basin(
         yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
     measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
     unit = UNITS[measure] if lib.has_known_units(data) else ""
-    yield from sizes_in_words(answer, measure, unit, zoomed="zoom" in request)
-    yield from fates_in_words(answer["fates"])
+    yield from sizes_in_words(answer, measure, unit, terms, zoomed="zoom" in request)
+    yield from fates_in_words(answer["fates"], walker)
     if counts.unmatched:
-        cells = f"{counts.unmatched} cells whose walker walks on"
+        cells = f"{counts.unmatched} cells whose {terms.start} {terms.goes} on"
         yield f"  {cells} come near no known attractor"
-    yield f"  {kept or effort(data, answer, counts)}"
-    yield f"  {next_step(answer, request)}"
+    yield f"  {kept or effort(data, answer, counts, terms)}"
+    yield f"  {next_step(answer, request, terms)}"
+    yield output.places(animate)
 
 
 def compute(
     walker: "wj.System", request: dict, output: Output, cluster: int | str | None
 ) -> "lib.xarray.Dataset":
     """Compute the data set of a request, resuming an interrupted run."""
-    with lib.bar("search for a gait", True):
+    with lib.bar(f"search for a {terms_of(walker).cycle}", True):
         grid = grid_of(walker, request["axes"])
     strides = {name: request[name] for name in ("strides",) if name in request}
     if "levels" in request:
@@ -193,31 +198,33 @@ def draw_film(walker: "wj.System", data: "lib.xarray.Dataset", shots: dict, film
     wj.figures.zoom_film(shown, film, signature=lib.storage.signature(shots), progress=True)
 
 
-def next_step(answer: dict, request: dict) -> str:
+def next_step(answer: dict, request: dict, terms: Terms = WALKING) -> str:
     """Write the share of starts that converge, and what to do next."""
     cells = sum(one["cells"] for one in answer["attractors"] if not one["artefact"])
     if not cells:
-        where = "walker-jax gait tells where a gait is"
+        where = f"walker-jax gait tells where a {terms.cycle} is"
         return f"No start in this window converges: {where}."
     then = "--levels 2 gives the size of the basin with its error"
     if "zoom" in request:
         then = "a larger --zoom goes deeper into the boundary"
     elif "levels" in request:
-        then = "walker-jax robustness tells how large a disturbance the gait survives"
+        then = f"walker-jax robustness tells how large a disturbance the {terms.cycle} survives"
     share = cells / sum(answer["fates"].values())
     return f"{share:.2%} of these starts converge to an attractor: {then}."
 
 
-def effort(data: "lib.xarray.Dataset", answer: dict, counts: "lib.Tally") -> str:
+def effort(data: "lib.xarray.Dataset", answer: dict, counts: "lib.Tally", terms: Terms) -> str:
     """Write the number of strides and the time they took."""
     made = answer["cells"] if answer["method"] == "cell-map" else counts.strides
     made = int(data["strides_made"]) if "strides_made" in data else made
     compiling, running = answer["seconds"]["compile"], answer["seconds"]["run"]
     times = f"{compiling:.1f} s to compile, {running:.2f} s to run and to store"
-    return f"{made:,} strides; {times}"
+    return f"{made:,} {terms.step}s; {times}"
 
 
-def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> Iterator[str]:
+def sizes_in_words(
+    answer: dict, measure: str, unit: str, terms: Terms = WALKING, *, zoomed: bool
+) -> Iterator[str]:
     """Write the attractors of a basin; `measure` is "area" or "volume".
 
     A zoomed window lies within the basin's surroundings, so its border is not mentioned, and the
@@ -228,7 +235,7 @@ def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> It
         size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
         kind = "artefact" if one["artefact"] else "attractor"
         states = points_listed(one["states"])
-        yield f"  {kind} {i}: {period}, {size}, at {states}{cycles_in_words(one)}"
+        yield f"  {kind} {i}: {period}, {size}, at {states}{cycles_in_words(one, terms)}"
     if f"{measure}_error" in answer:
         size, error = answer[measure], answer[f"{measure}_error"]
         yield f"  {measure} {size:.7g} +- {error:.1g} {unit}".rstrip() + " in all"
@@ -240,22 +247,22 @@ def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> It
         yield f"  the basin reaches the border of the grid, in {answer['at_border']} cells"
 
 
-def fates_in_words(fates: dict[str, int]) -> Iterator[str]:
+def fates_in_words(fates: dict[str, int], walker: "wj.System") -> Iterator[str]:
     """Write a line for each fate: its share and number of cells."""
     whole = max(1, sum(fates.values()))
     for name, count in fates.items():
         if count:
-            yield f"  {count / whole:7.2%}  {lib.outcome_in_words(name)}, {count:,} cells"
+            yield f"  {count / whole:7.2%}  {in_words(name, walker)}, {count:,} cells"
 
 
-def cycles_in_words(attractor: dict) -> str:
+def cycles_in_words(attractor: dict, terms: Terms = WALKING) -> str:
     """Describe the cycles of a cell map that belong to an attractor; empty for a single one."""
     cycles, falling = attractor.get("cycles", 1), attractor.get("falling", 0)
-    one = "a walker falls from"
+    one = f"a {terms.start} {terms.fails} from"
     if attractor["artefact"]:
         centres = len(attractor["states"])
         if falling == 0:
-            return ": walkers from there do not converge to one attractor"
+            return f": {terms.start}s from there do not converge to one attractor"
         return f": {one} {f'{falling} of {centres}' if centres > 1 else 'there'}"
     parts = [f"{cycles} cycles of cells"] * (cycles > 1)
     parts += [f"{one} {falling} of their centres"] * (falling > 0)

@@ -6,7 +6,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, listed, request_for
+from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import hyphenated, option, underscored
 from walker_jax.cli.walker_options import check_range
@@ -14,8 +14,8 @@ from walker_jax.refusals import WrongUse
 from walker_jax.walkers.parameter_table import KNEED_SLOPE, SLOPE
 
 TITLES = {
-    "doublings": "doublings of the most stable gait",
-    "other_doublings": "doublings of other gaits",
+    "doublings": "doublings of the most stable {}",
+    "other_doublings": "doublings of other {}s",
     "folds": "folds",
     "neimark_sackers": "Neimark-Sacker points",
 }
@@ -66,33 +66,35 @@ def bifurcation(
     answer = lib.summarise_bifurcations(data)
     units = {one.name: f" {one.unit}".rstrip() for one in lib.described_by(walker, lib.Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
+    terms = terms_of(walker)
     yield answer
-    yield f"Gaits of {lib.write_description(request['walker'], '')}, {span}"
-    yield from bifurcations_in_words(answer, over, strides)
+    yield f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
+    yield from bifurcations_in_words(answer, over, strides, terms)
+    yield output.places()
 
 
-def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str]:
+def bifurcations_in_words(answer: dict, over: str, strides: int, terms: Terms) -> Iterator[str]:
     """Write the answer of `bifurcation`."""
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue
-        yield f"  {title}:{'' if answer[key] else ' none'}"
+        yield f"  {title.format(terms.cycle)}:{'' if answer[key] else ' none'}"
         for event in answer[key]:
             at = event[lib.value_key(over)]
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
             told = f", {event['criticality']}" if "criticality" in event else ""
             yield f"    period {periods} at {at:.12f}, ({listed(event['state'])}){told}"
-    near = "walker close to a gait"
+    near = f"{terms.start} close to a {terms.cycle}"
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
-        yield f"  no {near} walks on, at any {hyphenated(over)}"
+        yield f"  no {near} {terms.goes} on, at any {hyphenated(over)}"
     elif math.isnan(above):
-        yield f"  each {near} walks on up to the highest {hyphenated(over)}"
+        yield f"  each {near} {terms.goes} on up to the highest {hyphenated(over)}"
     else:
-        until = f"where a walker makes {strides} strides"
-        yield f"  walking is lost between {below:.8f}, {until},"
+        until = f"where a {terms.start} makes {strides} {terms.step}s"
+        yield f"  {terms.motion} is lost between {below:.8f}, {until},"
         yield f"  and {above:.8f}, where none does"
     for interval in answer["stable_beyond"]:
         ends = f"from {interval['from']:.9f} to {interval['to']:.9f}"
-        yield f"  a gait of period {interval['period']} is stable beyond that, {ends}"
+        yield f"  a {terms.cycle} of period {interval['period']} is stable beyond that, {ends}"
     yield "  walker-jax chart follows such points over a second parameter."

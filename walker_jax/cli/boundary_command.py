@@ -5,7 +5,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, points_listed, request_for
+from walker_jax.cli.answers import Output, in_words, points_listed, request_for
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import option
 from walker_jax.cli.section import axes_option, grid_of, window_on
@@ -38,6 +38,7 @@ def boundary(
     answer = lib.summarise_boundary(output.produce(request, compute, "boundary"))
     yield {"walker": request["walker"]} | answer
     yield from boundary_in_words(walker, answer)
+    yield output.places()
 
 
 def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
@@ -56,18 +57,17 @@ def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
         shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
         yield f"  largest part of a boundary that touches only two regions: {shares} cells"
         yield "    it tends to nothing on finer grids if the boundary is Wada's"
-    yield from (f"  {edge_in_words(one)}" for one in answer["edges"])
+    yield from (f"  {edge_in_words(walker, one)}" for one in answer["edges"])
     if entropy["value"] is None:
         yield "  No boundary was found in this window: wider axes may hold one."
     else:
         yield "  walker-jax basin --zoom 1e4 shows it near; a finer grid tests more strictly."
 
 
-def edge_in_words(edge: dict) -> str:
+def edge_in_words(walker: "wj.System", edge: dict) -> str:
     """Write an edge state in words."""
     regions, between = (
-        " / ".join(lib.outcome_in_words(one) for one in edge[pair])
-        for pair in ("regions", "between")
+        " / ".join(in_words(one, walker) for one in edge[pair]) for pair in ("regions", "between")
     )
     third = "" if edge["between"] == edge["regions"] else f" (between {between})"
     if edge["kind"] != "saddle":

@@ -5,7 +5,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, listed, request_for
+from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, hyphenated, named, option
 from walker_jax.cli.section import start_on, start_option
@@ -60,21 +60,23 @@ def chart(
     about = request["walker"]
     yield {"walker": about, "parameters": [*bounds]} | answer
     yield f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
-    yield from chart_in_words(answer, [*bounds])
+    yield from chart_in_words(answer, [*bounds], terms_of(walker))
+    yield output.places()
 
 
-def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
+def chart_in_words(answer: dict, names: list[str], terms: Terms) -> Iterator[str]:
     """Write the answer of `chart`."""
     for curve in answer["curves"]:
         told = "".join(f", {one}" for one in curve["criticality"])
         yield f"  {curve['kind']} of period {curve['period']}{told}:"
         for end in curve["ends"]:
             place = listed(end["values"], ".9f")
-            yield f"    to ({place}): {end['reason']}"
+            reason = end["reason"].replace("gait", terms.cycle).replace("stride", terms.step)
+            yield f"    to ({place}): {reason}"
         for one in curve["special"]:
             yield f"    {one['kind']} at ({listed(one['values'], '.12f')})"
     if not answer["curves"]:
         yield f"  no bifurcation over {' or '.join(map(hyphenated, names))}"
     shares = ", ".join(f"{name} {share:.1%}" for name, share in answer["cells"].items())
-    yield f"  cells: {shares}"
-    yield "  walker-jax bifurcation shows all gaits along one parameter."
+    yield f"  cells: {shares.replace('gait', terms.cycle)}"
+    yield f"  walker-jax bifurcation shows all {terms.cycle}s along one parameter."

@@ -10,7 +10,7 @@ import click
 from click.core import augment_usage_errors
 
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import files_in_words, jsonable, reword
+from walker_jax.cli.answers import jsonable
 from walker_jax.cli.options import (
     Option,
     is_group,
@@ -124,8 +124,6 @@ class Command(click.Command):
                 print(json.dumps(jsonable(answer), allow_nan=False))
                 return
             for line in said:
-                print(reword(line, given["walker"]) if self.walkers else line)
-            for line in files_in_words(given):
                 print(line)
         except Refusal as error:
             error.args = (message_of(error, self.get_params(ctx), ctx.meta),)

@@ -5,7 +5,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.answers import Output, Terms, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Named, hyphenated, option
 from walker_jax.cli.section import asked_of, axes_option, region_on
@@ -55,10 +55,11 @@ def continuation(
     yield {"walker": about, "parameter": name} | answer
     span = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
     yield f"Attractors of {about['name']}, {span}"
-    yield from attractors_in_words(answer)
+    yield from attractors_in_words(answer, terms_of(walker))
+    yield output.places()
 
 
-def attractors_in_words(answer: dict) -> Iterator[str]:
+def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:
     """Write the answer of `continuation`."""
     for one in answer["attractors"]:
         period = f"period {one['period']}" if one["period"] else "no period"
@@ -71,4 +72,4 @@ def attractors_in_words(answer: dict) -> Iterator[str]:
     if answer["attractors"]:
         yield "  More --samples make these fractions more precise."
     else:
-        yield "  No start converges: try another --over, or a region that holds a gait."
+        yield f"  No start converges: try another --over, or a region that holds a {terms.cycle}."

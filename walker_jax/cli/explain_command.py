@@ -4,6 +4,7 @@ import re
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
+from walker_jax.cli.answers import in_words, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.section import begin_at, start_on, start_option
 
@@ -40,7 +41,7 @@ def explain(walker: "wj.System", start: dict[str, float] = start_option()):
     }
     advice = {
         "OUTSIDE": "walker-jax gait gives a start that is feasible",
-        "STRIDE": "walker-jax walk, from there, follows the next strides",
+        "STRIDE": f"walker-jax walk, from there, follows the next {terms_of(walker).step}s",
     }
     next_step = advice.get(found.name, "walker-jax basin shows which starts go on")
     if found.complaints and found.name != "OUTSIDE":
@@ -49,6 +50,6 @@ def explain(walker: "wj.System", start: dict[str, float] = start_option()):
     # Words in the places of the names of outcomes.
     text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", str(found))
     text = re.sub(rf"\bleads to ({'|'.join(wj.Outcome.__members__)})\b", r"the end: \1", text)
-    text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: lib.outcome_in_words(name[0]), text)
+    text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)
     yield text
     yield f"Next: {next_step}."

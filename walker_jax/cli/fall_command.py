@@ -96,6 +96,10 @@ def fall(
         yield f"  Under slight disturbances nearly all falls {kind}are like this one."
     else:
         yield "  The search has not converged: another --strides may give a more probable fall."
+    if figure is not None:
+        yield f"picture {figure}"
+    if animate is not None:
+        yield f"film {animate}"
 
 
 def draw_film(walker: "wj.Walker", found: "lib.ProbableFall", place: Path, request: dict) -> None:

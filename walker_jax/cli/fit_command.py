@@ -90,3 +90,4 @@ def fit(
     if not about["converged"]:
         yield "  the search did not converge: give other first guesses"
     yield from (f"  not told apart: {one}" for one in about["unknown"].split("; ") if one)
+    yield output.places()

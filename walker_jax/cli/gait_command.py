@@ -13,6 +13,7 @@ from walker_jax.cli.answers import (
     listed,
     request_for,
     slope_of,
+    terms_of,
 )
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import option
@@ -56,7 +57,8 @@ def gait(
     chosen = chosen_units(units, walker)
     request = request_for("gait", walker, period=period, guess=begin, all=all)
     check_picture(figure, request, overwrite=overwrite)
-    with lib.bar("search for gaits", True):
+    cycle = terms_of(walker).cycle
+    with lib.bar(f"search for {cycle}s", True):
         way = "another start" if start else "--start NAME=VALUE"
         how: Any = {"every": all, "instead": f"try {way}"}
         found = lib.selection.select_gaits(walker, period, begin, **how)
@@ -76,7 +78,7 @@ def gait(
     for one in found:
         kind, period = "stable" if one.stable else "unstable", len(one.states)
         multipliers = listed(one.multipliers, ".8g")
-        yield f"{kind} gait of period {period} {where}, multipliers {multipliers}"
+        yield f"{kind} {cycle} of period {period} {where}, multipliers {multipliers}"
         timeless = is_map(walker, one.step_times)
         for state, duration in zip(one.states, one.step_times, strict=True):
             named = zip(walker.section, state, of_section, strict=True)
@@ -88,3 +90,5 @@ def gait(
         yield f"Nearby starts converge to {which}: walker-jax basin shows from where."
     else:
         yield "None is stable: walker-jax bifurcation shows where one is."
+    if figure is not None:
+        yield f"picture {figure}"

@@ -114,6 +114,7 @@ def optimise(
     yield answer | {"walker": request["walker"]}
     yield from optimum_in_words(walker, answer, " + ".join(names))
     yield from (f"  a start led nowhere: {note}" for note in notes if note)
+    yield output.places()
 
 
 def is_done(data: "lib.xarray.Dataset | None") -> "TypeGuard[lib.xarray.Dataset]":

@@ -65,3 +65,4 @@ def prove(
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
     yield "  proofs.md says what a proof rests on; more --levels decide more of the open cells."
+    yield output.places()

@@ -5,7 +5,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, listed, request_for, slope_of
+from walker_jax.cli.answers import WALKING, Output, Terms, listed, request_for, slope_of, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import hyphenated, only_given, option, refuse, underscored
 from walker_jax.cli.section import (
@@ -98,11 +98,12 @@ def robustness(
     yield f"Robustness, {lib.write_description(shown)}"
     for row, place in zip(rows, at, strict=True):
         where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
-        yield from measures_in_words(row, where)
+        yield from measures_in_words(row, where, terms_of(walker))
     yield f"  {advice}."
+    yield output.places()
 
 
-def measures_in_words(row: dict, where: str) -> Iterator[str]:
+def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator[str]:
     """Write the answer of `robustness` at one value of the parameter."""
     yield f"  {where}area {row['area']:.7g} +- {row['area_error']:.1g}"
     if row["at_border"]:
@@ -110,15 +111,15 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
     if row["note"]:
         yield f"    {row['note']}"
     if row["gait"] is None:
-        yield "    no gait attracts"
+        yield f"    no {terms.cycle} attracts"
         return
     gait, smallest = row["gait"], row["least_disturbance"]
     multiplier = f"largest multiplier {gait['multiplier']:.6f}"
-    yield f"    gait of period {gait['period']}, {multiplier}"
-    yield f"    least disturbance {disturbance_in_words(smallest)}"
+    yield f"    {terms.cycle} of period {gait['period']}, {multiplier}"
+    yield f"    least disturbance {disturbance_in_words(smallest, terms)}"
     if smallest["failure"] == "STRIDE" and row["least_fall"] is not None:
         fall = row["least_fall"]
-        words = "none found" if fall["failure"] is None else disturbance_in_words(fall)
+        words = "none found" if fall["failure"] is None else disturbance_in_words(fall, terms)
         yield f"    least one from which it falls {words}"
     if row["step_down"] < float("inf"):  # it is not computed for walkers in space
         down = f"{row['step_down']:.8f}"
@@ -128,12 +129,12 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
     survived = row["basin_stability"]
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
-        f"disturbances up to {survived['disturbances']:g} of the gait's state are "
-        f"survived; half of them are over in {survived['median_strides']:g} strides, "
+        f"disturbances up to {survived['disturbances']:g} of the {terms.cycle}'s state are "
+        f"survived; half of them are over in {survived['median_strides']:g} {terms.step}s, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
     yield (
-        f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
+        f"    {survived['in_time']:.1%} are over in 10 {terms.step}s; on average they take "
         f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
         f"{gait['return_strides']:.3g}; the largest that is survived is "
         f"{survived['largest_shock']:.3g}"
@@ -151,12 +152,12 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
         yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
 
 
-def disturbance_in_words(disturbance: dict) -> str:
+def disturbance_in_words(disturbance: dict, terms: Terms) -> str:
     """Write a least disturbance."""
     end = "leads to another motion"
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"
     if disturbance["failure"] != "STRIDE":
-        after = f"after {disturbance['strides']} strides"
+        after = f"after {disturbance['strides']} {terms.step}s"
         end = f"{lib.outcome_in_words(disturbance['failure'])} {after}"
     return f"{disturbance['size']:.8f} along ({listed(disturbance['direction'], '.4f')}): {end}"

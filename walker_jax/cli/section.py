@@ -61,9 +61,9 @@ def start_on(walker: "wj.System", given: dict[str, float], **usual: float) -> di
     """Return the coordinates of a start, in the order of the section: none, or all."""
     given = usual | given
     check_names(walker.section, given)
-    for name in walker.section if given else ():
-        if name not in given:
-            raise WrongUse(f"--start {name}=VALUE is required too")
+    if given and (missing := [name for name in walker.section if name not in given]):
+        options = " and ".join(f"--start {name}=VALUE" for name in missing)
+        raise WrongUse(f"{options} {'is' if len(missing) == 1 else 'are'} required too")
     return {name: given[name] for name in walker.section if given}
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Pieces, request_for
+from walker_jax.cli.answers import Output, Pieces, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, named, option
 from walker_jax.cli.section import asked_of, axes_option, region_on
@@ -68,7 +68,9 @@ def sweep(
         at = where(best).replace("_", "-")
         yield f"  The basin is largest at {at}: walker-jax optimise searches around."
     else:
-        yield "  No basin has any area: try other values, or a region that holds a gait."
+        cycle = terms_of(walker).cycle
+        yield f"  No basin has any area: try other values, or a region that holds a {cycle}."
+    yield output.places()
 
 
 def values_of(over: Mapping[str, Axis]) -> dict[str, list[float]]:

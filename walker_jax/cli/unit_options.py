@@ -28,7 +28,9 @@ def chosen_units(given: dict[str, float], system: "wj.System | None" = None) -> 
             raise WrongUse(f"--units {name}=VALUE is required too")
     if system is not None and not isinstance(system, wj.Walker):
         raise WrongUse(f"--units is for walkers, not for {system.label()}: leave it out")
-    return wj.Units(**given)
+    made = wj.Units(**given)
+    made.size("l")  # refuses a size that is not above zero, before any work
+    return made
 
 
 def units_named(given: dict[str, float]) -> dict[str, Any]:

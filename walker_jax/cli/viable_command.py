@@ -4,7 +4,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Pieces, request_for
+from walker_jax.cli.answers import Output, Pieces, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, hyphenated, named, option
 from walker_jax.cli.section import axes_option, grid_of, window_on
@@ -79,9 +79,11 @@ def viable(
     for n, one in enumerate(answer["levels"] if levels else []):
         areas = f"between {one['inner_area']:.4g} and {one['outer_area']:.4g}"
         yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
+    step = terms_of(walker).step
     for n, area in enumerate(answer["capturable"], 1):
-        yield f"  caught within {n} stride{'s' * (n > 1)}: {area:.6g}"
+        yield f"  caught within {n} {step}{'s' * (n > 1)}: {area:.6g}"
     yield (
         "  In this window, as far as the grid tells, no controller with these actions has a "
         "larger basin than the kernel."
     )
+    yield output.places()

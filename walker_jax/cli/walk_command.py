@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import OVERWRITE, check_picture, is_map, request_for, reword
+from walker_jax.cli.answers import OVERWRITE, check_picture, in_words, is_map, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import option, refuse
 from walker_jax.cli.section import begin_at, has_plane, start_on, start_option
@@ -90,19 +90,21 @@ def walk(
     yield {"states": states, "outcomes": ends, "times": times, **units_named(units)}
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in coordinates)
-    timeless, step = is_map(walker, times), reword("stride", walker)
+    timeless, step = is_map(walker, times), terms_of(walker).step
     if units:
         yield "Angles in rad, rates in rad/s, times in s."
     yield f"{step}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
     for i, (state, end, duration) in enumerate(zip(states, ends, times, strict=False), start=1):
         time = "" if timeless else f"{'-' if math.isnan(duration) else f'{duration:.4f}':>8}  "
-        yield f"{i:{len(step)}}  {row(state)}  {time}{lib.outcome_in_words(end)}"
+        yield f"{i:{len(step)}}  {row(state)}  {time}{in_words(end, walker)}"
     if len(states) > len(ends):
         yield f"{'next':>{len(step)}}  {row(states[-1])}"
-        yield "It makes all its strides: a larger --strides shows whether it goes on."
+        yield f"It makes all its {step}s: a larger --strides shows whether it goes on."
     else:
         why = "another --seed gives other ground" if rough else "walker-jax explain says why"
-        yield f"It ends in stride {len(ends)}: {why}."
+        yield f"It ends in {step} {len(ends)}: {why}."
+    if animate is not None:
+        yield f"film {animate}"
 
 
 def refuse_start(walker: "wj.System", begin: list[float], given: Iterable[str]) -> NoReturn:
@@ -114,5 +116,6 @@ def refuse_start(walker: "wj.System", begin: list[float], given: Iterable[str]) 
     about = feasible.__doc__ if feasible is not wj.System.feasible else None
     condition = (about or "").strip().partition("\n")[0].rstrip(".")
     why = f": {condition}" if condition else ""
+    given = [*given] or walker.section
     other = f"give another {' or '.join(given)}"
     raise WrongUse(f"{begin} is not a feasible start{why}", other, of=" ".join(given))

@@ -264,6 +264,7 @@ def in_columns(handles: Sequence[Artist | Container], letters: int) -> dict[str,
     widths = [SIGN + longest(one) for one in labels]
     wide = lambda columns: sum(part.max() for part in np.array_split(widths, columns))
     rows = math.ceil(count / max((n for n in range(1, count + 1) if wide(n) <= letters), default=1))
+    rows = max(rows, 1)
     return {"handles": handles, "labels": labels, "ncols": math.ceil(count / rows)}
 
 
