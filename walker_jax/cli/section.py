@@ -62,8 +62,7 @@ def start_on(walker: "wj.System", given: dict[str, float], **usual: float) -> di
     given = usual | given
     check_names(walker.section, given)
     if given and (missing := [name for name in walker.section if name not in given]):
-        options = " and ".join(f"--start {name}=VALUE" for name in missing)
-        raise WrongUse(f"{options} {'is' if len(missing) == 1 else 'are'} required too")
+        raise WrongUse(f"--start NAME=VALUE is required too for {', '.join(missing)}")
     return {name: given[name] for name in walker.section if given}
 
 

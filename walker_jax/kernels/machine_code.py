@@ -53,12 +53,9 @@ def report_compilation(start: float) -> None:
 
 
 @functools.lru_cache(MOST_CALLEES)
-def recall_callee(digest: str, made_for: tuple) -> "MachineCode":
-    """Load code for a processor that other code calls; `FileNotFoundError` without its file."""
-    found = MachineCode.recall(digest)
-    if found is None:
-        raise FileNotFoundError(digest)
-    return found
+def recall_callee(digest: str, made_for: tuple) -> "MachineCode | None":
+    """Load code for a processor that other code calls; None if it is not on disk."""
+    return MachineCode.recall(digest)
 
 
 class MachineCode:
@@ -87,9 +84,10 @@ class MachineCode:
             return None
         engine, code = program or (None, (source or "").encode())
         names = sorted({name.decode() for name in SLOTS.findall(code)})
-        try:
-            callees = [recall_callee(name, processor()) for name in names]
-        except FileNotFoundError:
+        known = [recall_callee(name, processor()) for name in names]
+        callees = [one for one in known if one is not None]
+        if len(callees) < len(known):
+            recall_callee.cache_clear()  # another process may yet write it
             return None
         found = cls(source, digest, callees)
         if engine is not None:
