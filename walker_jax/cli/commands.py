@@ -44,9 +44,9 @@ class Command(click.Command):
 
     The parameters of `run` are its options. It yields its answer, for JSON, then the lines that say
     it in words; one that returns None has neither. With `opening`, walkers have the values with
-    which the explorer opens them. A command that is `ranged` goes over a parameter, as others do
-    where its lowest value is given: it is not the walker's. `examples` and `time`, which the
-    command takes, are for its help; `defaults` are those of options whose group has another one.
+    which the explorer opens them. A `ranged` command goes over a parameter, which is then none of
+    the walker's; so does any other command for which a lowest value is given. `examples` and
+    `time`, the seconds that it takes, are for its help. `defaults` replace those of its options.
     """
 
     allow_extra_args = True  # they are refused here

@@ -174,7 +174,7 @@ def put_into(ctx: Any, param: Any, value: Any) -> None:
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
     """Declare an option, with settings of `Option` and bounds of `Number`.
 
-    The parameter whose default it is names it, unless there are `flags`.
+    Users type the name of the parameter whose default it is, or the `flags` if there are any.
     """
     return {"default": default, "help": help, "flags": flags, **settings}
 
@@ -197,9 +197,9 @@ def argument(metavar: str) -> Any:
 class Option(click.Option):
     """An option of a theme of the help, for a value of a kind.
 
-    It may exclude others, or need one, by their names. What it `sets` are arguments of the library,
-    besides that of its name, each with the words for it in messages. Its value may go `into` the
-    dictionary of another option, under its name, or under `keys`.
+    It may exclude others, or need one, by their names. It `sets` arguments of the library besides
+    the one of its name; messages about these have the words given here. Its value may go `into`
+    the dictionary of another option, under its name, or under `keys`.
     """
 
     def __init__(
