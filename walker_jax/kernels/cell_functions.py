@@ -35,6 +35,12 @@ def lanes_of(operands: list, results: list, bits: int) -> int:
 
 
 @no_type_check  # as the emitter
+def may_call(emitter) -> bool:
+    """Return whether a program calls others, as no thread does, nor a program with a store."""
+    return emitter.lanes > 1 and emitter.store is None
+
+
+@no_type_check
 def signature(emitter, given: Sequence, returned: Sequence) -> ir.FunctionType:
     """Return the type of the function of cells with operands and results of these kinds."""
     types = lambda avals: [emitter.type(aval.dtype) for aval in avals for _ in range(aval.size)]
@@ -47,7 +53,7 @@ def define_cell(emitter, closed: ClosedJaxpr) -> ir.Function:
     """Write the function of a jaxpr of one cell."""
     kind = signature(emitter, closed.in_avals, closed.out_avals)
     function = ir.Function(emitter.builder.module, kind, FUNCTION)
-    inner = type(emitter)(Builder(function.append_basic_block()), emitter.lanes, emitter.may_call)
+    inner = type(emitter)(Builder(function.append_basic_block()), emitter.lanes)
     inner.callees = emitter.callees
     *entries, inner.active = function.args
     inputs = inner.unflatten(entries, closed.in_avals, [None] * len(closed.in_avals))
@@ -81,9 +87,7 @@ def call_other(emitter, equation, operands: list) -> list[np.ndarray]:
     """
     program, closed = equation.params["program"], equation.params["jaxpr"]
     entries, _ = emitter.flatten(operands, closed.in_avals)
-    if not emitter.may_call or any(map(is_known, entries)):
-        return emitter.call(equation, operands)
-    other = program.compiled
+    other = program.compiled if may_call(emitter) and not any(map(is_known, entries)) else None
     if other is None or other.made_for != (processor(), emitter.lanes):
         return emitter.call(equation, operands)
     emitter.callees[other.digest] = other.code

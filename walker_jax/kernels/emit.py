@@ -14,7 +14,7 @@ from llvmlite import ir
 
 from walker_jax.kernels import control, indexing, tape_memory
 from walker_jax.kernels.builder import FAST, Builder
-from walker_jax.kernels.cell_functions import call_cell, call_other, define_cell, lanes_of
+from walker_jax.kernels.cell_functions import call_cell, call_other, define_cell, lanes_of, may_call
 from walker_jax.kernels.entries import Unrolling
 from walker_jax.kernels.jaxprs import (
     CALLS,
@@ -46,15 +46,14 @@ FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleT
 class LLVMEmitter(Unrolling):
     """Emits LLVM instructions for a jaxpr; an entry is a known number or a vector of all lanes."""
 
-    def __init__(self, builder: Builder, lanes: int, may_call: bool = False):
+    def __init__(self, builder: Builder, lanes: int):
         super().__init__()
         self.builder = builder
         self.lanes = lanes
-        self.may_call = may_call
-        """Whether it calls the machine code of other kernels; otherwise it includes them."""
         self.callees: dict[str, Any] = {}
         """By digest: the machine code that it calls."""
         self.calls = 0
+        """Number of calls that have been written."""
         self.active: Any = None
         """A flag for each lane, true if the lane is active; None if all are."""
         self.types: dict = {}
@@ -357,15 +356,15 @@ def emit(
     two successive cells in an operand; it is 0 for an operand that all cells share. A `shared`
     program also has a function that others call (`cell_functions`). Returns all code called too.
     """
-    lanes, stored = lanes_of(operands, results, bits), keeps_arrays_in_memory(closed.jaxpr, bits)
+    lanes = lanes_of(operands, results, bits)
     arguments = [LONG, LONG, ADDRESS.as_pointer(), LONG.as_pointer()]
     module = ir.Module("kernel")
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
     start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = Builder(before)
-    emitter = LLVMEmitter(builder, lanes, bits > 0 and not stored)
-    if stored:
+    emitter = LLVMEmitter(builder, lanes)
+    if keeps_arrays_in_memory(closed.jaxpr, bits):
         emitter.store = Store(emitter)
         emitter.store.open()
     memory = Memory(emitter, addresses)
@@ -385,7 +384,7 @@ def emit(
         memory.load(array, step, *operand)
         for array, step, operand in zip(arrays, steps, operands, strict=False)
     ]
-    if shared and emitter.may_call:
+    if shared and may_call(emitter):
         outputs = call_cell(emitter, define_cell(emitter, closed), closed, inputs)
     else:
         outputs = emitter.interpret(closed, inputs)

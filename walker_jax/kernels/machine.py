@@ -109,7 +109,7 @@ def load_program(source: str, level: int = OPTIMISED, *, keep: bool = True) -> l
 
 
 def recall_program(digest: str) -> tuple[llvm.ExecutionEngine, bytes] | None:
-    """Load the program whose source has this digest, if its optimised code is on disk."""
+    """Load the program whose source has this digest, and its optimised code, if that is on disk."""
     code = recall(code_name(digest))
     return None if code is None else (link(code, target_machine(*processor())), code)
 
